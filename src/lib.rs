@@ -1,0 +1,30 @@
+//! A lightmap baker that takes an error, not a sample count.
+//!
+//! The modules stand in the order in which data flows:
+//!
+//! ```text
+//! glTF -> scene -> atlas (charts, texels) -> accel
+//!      -> light: direct light per texel, two halves
+//!      -> photon: starts at lit surface, walks, deposits (triangle, barycentric, flux)
+//!      -> accuracy: error from the halves -> { more | done }
+//!      -> lightmap -> output: EXR, GLB, manifest, report, previews
+//! ```
+//!
+//! Units: metres, candela, lux, nit as glTF defines them; colours are linear Rec. 709. A texel holds the mean
+//! irradiance E [lux] of the surface mapped to it.
+
+pub mod accel;
+pub mod accuracy;
+pub mod atlas;
+pub mod error;
+pub mod light;
+pub mod lightmap;
+pub mod options;
+pub mod output;
+pub mod photon;
+pub mod sampling;
+pub mod scene;
+
+pub use error::{BakeError, SceneError, Warning};
+pub use options::BakeOptions;
+pub use scene::Scene;

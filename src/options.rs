@@ -1,0 +1,188 @@
+//! What a bake is asked for.
+
+use glam::Vec3;
+use std::path::PathBuf;
+
+/// Everything a bake can be asked for. Fields map one to one to the flags of the command line.
+#[derive(Debug, Clone, PartialEq)]
+pub struct BakeOptions {
+    /// Upper 95 % limit of the texel error at which the bake ends. Unit: percent of the mean. Default: 2.
+    pub target_percent: f64,
+    /// Target per mesh, which 95 % of the meshes must meet. Unit: percent. Default: 3 times `target_percent`.
+    pub target_mesh_percent: Option<f64>,
+    /// End after this time with what is there. Unit: seconds. Default: none.
+    pub time_limit: Option<f64>,
+    /// End after this many photons with what is there. Default: none.
+    pub max_photons: Option<u64>,
+    /// Refuse to take more memory than this. Unit: bytes. Default: 4 GiB.
+    pub memory_limit: u64,
+    /// Page width and height. Unit: texels. Default: 2048.
+    pub max_texture: u32,
+    /// Most pages the atlas may have. Default: 16.
+    pub max_pages: u32,
+    /// Texel density. Default: automatic.
+    pub density: Density,
+    /// Empty texels around each chart. Unit: texels. Default: 4.
+    pub gutter: u32,
+    /// Where the lightmap UVs come from. Default: generated.
+    pub uv: UvSource,
+    /// What cuts and flattens meshes. Default: uvunwrap.
+    pub unwrapper: Unwrapper,
+    /// Light from beyond the geometry. Default: none.
+    pub sky: Option<SkySource>,
+    /// Rotation of a sky image about +Y. Unit: degrees. Default: 0.
+    pub sky_rotation: f32,
+    /// Factor on the sky's radiance. Default: 1.
+    pub sky_scale: f32,
+    /// A sun besides the lights of the file. Default: none.
+    pub sun: Option<Sun>,
+    /// Which part of the light is baked. Default: all of it.
+    pub lights: Lights,
+    /// Which normals receive light. Default: smooth.
+    pub normals: Normals,
+    /// Which side of a double-sided surface is stored. Default: automatic.
+    pub double_sided: DoubleSided,
+    /// What a stored texel is. Default: fitted for bilinear filtering.
+    pub texel_value: TexelValue,
+    /// What the maps hold. Default: irradiance over pi.
+    pub quantity: Quantity,
+    /// Nodes to bake, by name; empty: all. Others still occlude and bounce. Default: all.
+    pub only: Vec<String>,
+    /// Nodes not to bake, by name. Default: none.
+    pub exclude: Vec<String>,
+    /// Seed of every random stream. Default: 0.
+    pub seed: u64,
+    /// Worker threads; 0: one per core. The result does not depend on it. Default: 0.
+    pub threads: usize,
+}
+
+impl Default for BakeOptions {
+    fn default() -> Self {
+        BakeOptions {
+            target_percent: 2.0,
+            target_mesh_percent: None,
+            time_limit: None,
+            max_photons: None,
+            memory_limit: 4 << 30,
+            max_texture: 2048,
+            max_pages: 16,
+            density: Density::Auto,
+            gutter: 4,
+            uv: UvSource::Generate,
+            unwrapper: Unwrapper::Uvunwrap,
+            sky: None,
+            sky_rotation: 0.0,
+            sky_scale: 1.0,
+            sun: None,
+            lights: Lights::All,
+            normals: Normals::Smooth,
+            double_sided: DoubleSided::Auto,
+            texel_value: TexelValue::Fit,
+            quantity: Quantity::IrradianceOverPi,
+            only: Vec::new(),
+            exclude: Vec::new(),
+            seed: 0,
+            threads: 0,
+        }
+    }
+}
+
+/// Texel density.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum Density {
+    /// The highest at which everything fits on one page of `max_texture` squared.
+    Auto,
+    /// Texels per metre, on as many pages as that takes (`max_pages` at most).
+    TexelsPerMetre(f64),
+}
+
+/// Where the lightmap UVs come from.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum UvSource {
+    /// Cut, flattened and packed here.
+    Generate,
+    /// TEXCOORD_1 of the file as it is, on one page of `max_texture` squared.
+    Keep,
+}
+
+/// What cuts and flattens meshes.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub enum Unwrapper {
+    /// The crate uvunwrap, in this process.
+    Uvunwrap,
+    /// xatlas, in a child process of the given evenlight binary.
+    Xatlas {
+        /// Path of an evenlight binary built with the feature `xatlas`.
+        worker: PathBuf,
+    },
+}
+
+/// Light from beyond the geometry.
+#[derive(Debug, Clone, PartialEq)]
+pub enum SkySource {
+    /// The same radiance from everywhere. Unit: nit per channel.
+    Constant(Vec3),
+    /// An equirectangular .hdr or .exr file; 1.0 = 1 nit, the centre looks along -Z.
+    File(PathBuf),
+}
+
+/// A sun given on the command line.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Sun {
+    /// Height above the horizon. Unit: degrees.
+    pub elevation: f32,
+    /// From -Z towards +X. Unit: degrees.
+    pub azimuth: f32,
+    /// Illuminance on a plane facing it. Unit: lux.
+    pub illuminance: f32,
+    /// Angular diameter. Unit: degrees. Default: 0.53.
+    pub diameter: f32,
+}
+
+/// Which part of the light is baked.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Lights {
+    /// Direct and reflected light.
+    All,
+    /// Reflected light of punctual lights only, so that the engine can add their direct part at run time.
+    Indirect,
+}
+
+/// Which normals receive light.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Normals {
+    /// The interpolated normals of the file.
+    Smooth,
+    /// The plane of each triangle.
+    Geometric,
+}
+
+/// Which side of a double-sided surface is stored.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum DoubleSided {
+    /// Per chart, the side that receives more.
+    Auto,
+    /// The front.
+    Front,
+    /// Both, as two layers.
+    Split,
+}
+
+/// What a stored texel is.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum TexelValue {
+    /// Fitted so that bilinear filtering shows the light well.
+    Fit,
+    /// The mean over the texel's footprint, buried area included.
+    Mean,
+}
+
+/// What the maps hold.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, serde::Serialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Quantity {
+    /// E / pi: the luminance of a white diffuse surface. Unit: nit.
+    IrradianceOverPi,
+    /// E. Unit: lux.
+    Irradiance,
+}

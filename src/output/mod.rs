@@ -1,0 +1,12 @@
+//! 7. Files: lightmaps, the scene with its lightmap UVs, manifest, report, previews.
+//!
+//! In: a finished bake. Out: files, each written beside its final name and renamed when complete. The only
+//! place below the command line that writes.
+
+mod files;
+pub mod glb;
+pub mod lightmap_exr;
+pub mod manifest;
+pub mod preview;
+
+pub use files::write_atomically;

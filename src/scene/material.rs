@@ -1,0 +1,86 @@
+//! Materials as the light transport sees them.
+
+use glam::{Affine2, Vec3, Vec4};
+
+/// What happens to light at a surface. All colours are linear Rec. 709.
+#[derive(Debug, Clone)]
+pub struct Material {
+    /// Name in the file, or `material N`.
+    pub name: String,
+    /// Base colour factor, RGB reflectance in [0, 1] and alpha.
+    pub base_color: Vec4,
+    /// sRGB texture multiplied with the base colour.
+    pub base_color_texture: Option<TextureRef>,
+    /// Metalness in [0, 1]; a metal reflects no diffuse light.
+    pub metallic: f32,
+    /// Linear texture whose blue channel multiplies the metalness.
+    pub metallic_texture: Option<TextureRef>,
+    /// Emitted radiance [nit]: emissive factor times emissive strength.
+    pub emission: Vec3,
+    /// sRGB texture multiplied with the emission.
+    pub emission_texture: Option<TextureRef>,
+    /// Coverage by alpha.
+    pub alpha: Alpha,
+    /// Share of the light not reflected at the surface that passes straight through, tinted by the base
+    /// colour, in [0, 1] (KHR_materials_transmission).
+    pub transmission: f32,
+    /// Linear texture whose red channel multiplies the transmission.
+    pub transmission_texture: Option<TextureRef>,
+    /// Both sides reflect and emit; otherwise the back absorbs.
+    pub double_sided: bool,
+    /// KHR_materials_unlit: blocks light, but neither emits nor reflects.
+    pub unlit: bool,
+}
+
+impl Default for Material {
+    /// The glTF default material, with metalness 0: a surface that nobody described is taken as diffuse
+    /// white rather than as a black metal.
+    fn default() -> Self {
+        Material {
+            name: "default".into(),
+            base_color: Vec4::ONE,
+            base_color_texture: None,
+            metallic: 0.0,
+            metallic_texture: None,
+            emission: Vec3::ZERO,
+            emission_texture: None,
+            alpha: Alpha::Opaque,
+            transmission: 0.0,
+            transmission_texture: None,
+            double_sided: false,
+            unlit: false,
+        }
+    }
+}
+
+/// How alpha makes a surface pass light.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum Alpha {
+    /// Alpha is ignored.
+    Opaque,
+    /// Present where alpha is at least the cutoff, absent elsewhere.
+    Mask {
+        /// Smallest alpha that is still surface.
+        cutoff: f32,
+    },
+    /// A share alpha of the light meets the surface, the rest passes straight.
+    Blend,
+}
+
+/// A use of a texture by a material.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct TextureRef {
+    /// Index into [`Scene::textures`](super::Scene::textures).
+    pub texture: usize,
+    /// Which TEXCOORD_n it reads (KHR_texture_transform's override applied).
+    pub tex_coord: usize,
+    /// KHR_texture_transform, identity by default: texture UV from vertex UV.
+    pub transform: Affine2,
+}
+
+impl Material {
+    /// True where a ray may pass some of its points: such surfaces need a look at the material on every hit.
+    pub fn passes_light(&self) -> bool {
+        !self.unlit && self.transmission > 0.0 || self.alpha != Alpha::Opaque
+    }
+}

@@ -1,0 +1,298 @@
+//! The scene flattened to world-space triangles, in the frame that everything later computes in.
+
+use super::{Alpha, ColorSpace, Material, Primitive, Scene, TextureRef};
+use glam::{DVec3, Vec2, Vec3, Vec4};
+
+/// The normalised frame: recentred in f64, then scaled by a power of two so that every coordinate lies in
+/// [-1, 1]. Scaling a scene by a power of two therefore changes no bit of what is computed.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Frame {
+    /// World position of the frame's origin [m].
+    pub centre: DVec3,
+    /// Metres per unit of the frame, a power of two.
+    pub metres: f64,
+}
+
+impl Frame {
+    /// Frame position of a world position.
+    pub fn from_world(&self, p: DVec3) -> Vec3 {
+        ((p - self.centre) / self.metres).as_vec3()
+    }
+
+    /// World position [m] of a frame position.
+    pub fn to_world(&self, p: Vec3) -> DVec3 {
+        p.as_dvec3() * self.metres + self.centre
+    }
+}
+
+/// Where a world triangle comes from.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct TriangleRef {
+    /// Index into [`Scene::instances`].
+    pub instance: u32,
+    /// Index into the mesh's primitives.
+    pub primitive: u32,
+    /// Index into the primitive's triangles.
+    pub index: u32,
+}
+
+/// What a ray has to know about a triangle before it looks at the material.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub struct SurfaceFlags(u8);
+
+impl SurfaceFlags {
+    /// Both sides reflect and emit.
+    pub const DOUBLE_SIDED: SurfaceFlags = SurfaceFlags(1);
+    /// Light may pass some points (MASK, BLEND, transmission).
+    pub const PASSES_LIGHT: SurfaceFlags = SurfaceFlags(2);
+    /// Emits light.
+    pub const EMITS: SurfaceFlags = SurfaceFlags(4);
+    /// Neither emits nor reflects, only blocks.
+    pub const UNLIT: SurfaceFlags = SurfaceFlags(8);
+    /// No area, or not finite: no ray meets it.
+    pub const DEGENERATE: SurfaceFlags = SurfaceFlags(16);
+    /// Reflectance or emission varies over the triangle.
+    pub const VARIES: SurfaceFlags = SurfaceFlags(32);
+
+    /// True if all bits of `other` are set.
+    pub fn has(self, other: SurfaceFlags) -> bool {
+        self.0 & other.0 == other.0
+    }
+
+    fn with(self, other: SurfaceFlags, on: bool) -> SurfaceFlags {
+        if on { SurfaceFlags(self.0 | other.0) } else { self }
+    }
+}
+
+/// What the material says at a point. Linear Rec. 709.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct SurfacePoint {
+    /// Diffuse reflectance rho in [0, 1] of the surface where it is present: alpha not applied.
+    pub albedo: Vec3,
+    /// Emitted radiance [nit] where the surface is present: alpha not applied.
+    pub emission: Vec3,
+    /// Share of the light that meets the surface at all, in [0, 1]; 0 or 1 for MASK, 1 for OPAQUE.
+    pub alpha: f32,
+    /// Share per channel of the light meeting the surface that passes straight through, in [0, 1].
+    pub transmittance: Vec3,
+}
+
+/// World triangles of all instances. Triangle ids count through the instances in order, each with all its
+/// primitives' triangles (degenerate ones included).
+#[derive(Debug)]
+pub struct World<'s> {
+    /// The scene this was made from.
+    pub scene: &'s Scene,
+    /// The normalised frame of `positions`.
+    pub frame: Frame,
+    /// Corners in the frame, in the vertex order of the file.
+    pub positions: Vec<[Vec3; 3]>,
+    /// Unit geometric normal on the front side (mirrored transforms accounted for); zero if degenerate.
+    pub normals: Vec<Vec3>,
+    /// Where each triangle comes from.
+    pub refs: Vec<TriangleRef>,
+    /// What a ray has to know of each triangle.
+    pub flags: Vec<SurfaceFlags>,
+    /// First triangle id of each instance, and the total at the end.
+    pub first_triangle: Vec<u32>,
+    constants: Vec<SurfacePoint>,
+    normal_matrices: Vec<glam::Mat3>,
+}
+
+/// Triangles smaller than this in the frame [frame units squared] are degenerate.
+const MIN_AREA: f64 = 1e-20;
+
+impl<'s> World<'s> {
+    /// Flattens `scene`.
+    pub fn new(scene: &'s Scene) -> World<'s> {
+        let frame = frame_of(scene);
+        let n = scene.triangle_count();
+        let mut world = World {
+            scene,
+            frame,
+            positions: Vec::with_capacity(n),
+            normals: Vec::with_capacity(n),
+            refs: Vec::with_capacity(n),
+            flags: Vec::with_capacity(n),
+            first_triangle: Vec::with_capacity(scene.instances.len() + 1),
+            constants: scene.materials.iter().map(|m| constant_point(m)).collect(),
+            normal_matrices: Vec::with_capacity(scene.instances.len()),
+        };
+        for (i, instance) in scene.instances.iter().enumerate() {
+            world.first_triangle.push(world.positions.len() as u32);
+            let m = instance.world_from_object.matrix3;
+            let mirrored = m.determinant() < 0.0;
+            // Cofactor matrix: right for normals whatever the scale, and never divides by zero.
+            let sign = if mirrored { -1.0 } else { 1.0 };
+            let cofactor =
+                glam::DMat3::from_cols(m.y_axis.cross(m.z_axis), m.z_axis.cross(m.x_axis), m.x_axis.cross(m.y_axis))
+                    * sign;
+            let largest = cofactor.to_cols_array().iter().fold(0.0f64, |a, b| a.max(b.abs()));
+            world.normal_matrices.push((cofactor / largest.max(f64::MIN_POSITIVE)).as_mat3());
+            for (p, primitive) in scene.meshes[instance.mesh].primitives.iter().enumerate() {
+                let material = &scene.materials[primitive.material];
+                let flags = material_flags(material, primitive);
+                let local: Vec<DVec3> = primitive
+                    .positions
+                    .iter()
+                    .map(|v| (instance.world_from_object.transform_point3(v.as_dvec3()) - frame.centre) / frame.metres)
+                    .collect();
+                for (k, t) in primitive.triangles.iter().enumerate() {
+                    let c = t.map(|v| local[v as usize].as_vec3());
+                    let d = c.map(|v| v.as_dvec3());
+                    let normal = (d[1] - d[0]).cross(d[2] - d[0]) * sign;
+                    let degenerate = !normal.is_finite() || normal.length() < 2.0 * MIN_AREA;
+                    world.positions.push(c);
+                    world.normals.push(if degenerate { Vec3::ZERO } else { normal.normalize().as_vec3() });
+                    world.refs.push(TriangleRef { instance: i as u32, primitive: p as u32, index: k as u32 });
+                    world.flags.push(flags.with(SurfaceFlags::DEGENERATE, degenerate));
+                }
+            }
+        }
+        world.first_triangle.push(world.positions.len() as u32);
+        world
+    }
+
+    /// Number of triangles, degenerate ones included.
+    pub fn len(&self) -> usize {
+        self.positions.len()
+    }
+
+    /// True without any triangle.
+    pub fn is_empty(&self) -> bool {
+        self.positions.is_empty()
+    }
+
+    /// Area of a triangle [frame units squared].
+    pub fn area(&self, triangle: u32) -> f64 {
+        let d = self.positions[triangle as usize].map(|v| v.as_dvec3());
+        0.5 * (d[1] - d[0]).cross(d[2] - d[0]).length()
+    }
+
+    /// Position at barycentric weights `uv` of the second and third corner.
+    pub fn position(&self, triangle: u32, uv: Vec2) -> Vec3 {
+        let [a, b, c] = self.positions[triangle as usize];
+        a * (1.0 - uv.x - uv.y) + b * uv.x + c * uv.y
+    }
+
+    /// The primitive of a triangle and its vertex indices.
+    pub fn primitive(&self, triangle: u32) -> (&'s Primitive, [u32; 3]) {
+        let r = self.refs[triangle as usize];
+        let mesh = &self.scene.meshes[self.scene.instances[r.instance as usize].mesh];
+        let primitive = &mesh.primitives[r.primitive as usize];
+        (primitive, primitive.triangles[r.index as usize])
+    }
+
+    /// The material of a triangle.
+    pub fn material(&self, triangle: u32) -> &'s Material {
+        &self.scene.materials[self.primitive(triangle).0.material]
+    }
+
+    /// Unit interpolated normal on the front side, turned to within the front hemisphere of the geometric
+    /// normal; the geometric normal where the file gives none.
+    pub fn shading_normal(&self, triangle: u32, uv: Vec2) -> Vec3 {
+        let geometric = self.normals[triangle as usize];
+        let (primitive, t) = self.primitive(triangle);
+        if primitive.normals.is_empty() {
+            return geometric;
+        }
+        let [a, b, c] = t.map(|v| primitive.normals[v as usize]);
+        let m = self.normal_matrices[self.refs[triangle as usize].instance as usize];
+        let n = (m * (a * (1.0 - uv.x - uv.y) + b * uv.x + c * uv.y)).normalize_or_zero();
+        if n == Vec3::ZERO || !n.is_finite() {
+            return geometric;
+        }
+        // A normal that looks to the back of its own triangle is a fault of the file.
+        if n.dot(geometric) < 1e-3 { geometric } else { n }
+    }
+
+    /// What the material says at a point of a triangle.
+    pub fn surface(&self, triangle: u32, uv: Vec2) -> SurfacePoint {
+        let (primitive, t) = self.primitive(triangle);
+        if !self.flags[triangle as usize].has(SurfaceFlags::VARIES) {
+            return self.constants[primitive.material];
+        }
+        let material = &self.scene.materials[primitive.material];
+        let w = [1.0 - uv.x - uv.y, uv.x, uv.y];
+        let color = if primitive.colors.is_empty() {
+            Vec4::ONE
+        } else {
+            primitive.colors[t[0] as usize] * w[0]
+                + primitive.colors[t[1] as usize] * w[1]
+                + primitive.colors[t[2] as usize] * w[2]
+        };
+        let look = |r: &Option<TextureRef>, space| match r {
+            None => Vec4::ONE,
+            Some(r) => match primitive.tex_coords.get(r.tex_coord).filter(|s| !s.is_empty()) {
+                None => Vec4::ONE,
+                Some(set) => {
+                    let at = set[t[0] as usize] * w[0] + set[t[1] as usize] * w[1] + set[t[2] as usize] * w[2];
+                    self.scene.textures[r.texture].sample(r.transform.transform_point2(at), space)
+                }
+            },
+        };
+        let base = material.base_color * color * look(&material.base_color_texture, ColorSpace::Srgb);
+        let metallic = material.metallic * look(&material.metallic_texture, ColorSpace::Linear).z;
+        let transmission = material.transmission * look(&material.transmission_texture, ColorSpace::Linear).x;
+        let emission = material.emission * look(&material.emission_texture, ColorSpace::Srgb).truncate();
+        resolve(material, base, metallic, transmission, emission)
+    }
+}
+
+fn material_flags(material: &Material, primitive: &Primitive) -> SurfaceFlags {
+    let textured = material.base_color_texture.is_some()
+        || material.metallic_texture.is_some()
+        || material.emission_texture.is_some()
+        || material.transmission_texture.is_some();
+    let emits = !material.unlit && material.emission.max_element() > 0.0;
+    SurfaceFlags::default()
+        .with(SurfaceFlags::DOUBLE_SIDED, material.double_sided)
+        .with(SurfaceFlags::PASSES_LIGHT, material.passes_light())
+        .with(SurfaceFlags::EMITS, emits)
+        .with(SurfaceFlags::UNLIT, material.unlit)
+        .with(SurfaceFlags::VARIES, textured || !primitive.colors.is_empty())
+}
+
+fn constant_point(m: &Material) -> SurfacePoint {
+    resolve(m, m.base_color, m.metallic, m.transmission, m.emission)
+}
+
+/// The split of the light that meets a surface: a metal sends everything to the specular lobe (not
+/// transported here, absorbed), of the rest a share `transmission` passes, and what remains is diffuse.
+fn resolve(m: &Material, base: Vec4, metallic: f32, transmission: f32, emission: Vec3) -> SurfacePoint {
+    let alpha = match m.alpha {
+        Alpha::Opaque => 1.0,
+        Alpha::Mask { cutoff } => f32::from(u8::from(base.w >= cutoff)),
+        Alpha::Blend => base.w.clamp(0.0, 1.0),
+    };
+    if m.unlit {
+        return SurfacePoint { albedo: Vec3::ZERO, emission: Vec3::ZERO, alpha, transmittance: Vec3::ZERO };
+    }
+    let color = base.truncate().clamp(Vec3::ZERO, Vec3::ONE) * (1.0 - metallic.clamp(0.0, 1.0));
+    let t = transmission.clamp(0.0, 1.0);
+    SurfacePoint { albedo: color * (1.0 - t), emission: emission.max(Vec3::ZERO), alpha, transmittance: color * t }
+}
+
+fn frame_of(scene: &Scene) -> Frame {
+    let (mut lo, mut hi) = (DVec3::INFINITY, DVec3::NEG_INFINITY);
+    for instance in &scene.instances {
+        for primitive in &scene.meshes[instance.mesh].primitives {
+            for t in &primitive.triangles {
+                for &v in t {
+                    let p = instance.world_from_object.transform_point3(primitive.positions[v as usize].as_dvec3());
+                    if p.is_finite() {
+                        lo = lo.min(p);
+                        hi = hi.max(p);
+                    }
+                }
+            }
+        }
+    }
+    if lo.x > hi.x {
+        return Frame { centre: DVec3::ZERO, metres: 1.0 };
+    }
+    let centre = (lo + hi) * 0.5;
+    let half = ((hi - lo) * 0.5).max_element().max(f64::MIN_POSITIVE);
+    // The power of two above the half extent.
+    Frame { centre, metres: half.log2().floor().exp2() * 2.0 }
+}
