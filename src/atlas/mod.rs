@@ -6,7 +6,7 @@
 
 mod texels;
 
-pub use texels::{Piece, Texel, Texels};
+pub use texels::{NO_TEXEL, Piece, Texel, TexelSampler, Texels};
 
 use crate::error::Warning;
 use glam::Vec2;
