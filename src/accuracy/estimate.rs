@@ -35,6 +35,9 @@ pub struct TexelWeights {
     pub weight: Vec<f64>,
     /// Scene instance of each texel.
     pub instance: Vec<u32>,
+    /// False for texels that do not reach the maps: buried, or the side of a double-sided surface that is not
+    /// kept. Stored texels of nodes with weight 0 are written but counted nowhere.
+    pub stored: Vec<bool>,
 }
 
 impl TexelWeights {
@@ -42,13 +45,22 @@ impl TexelWeights {
     pub fn new(world: &World, texels: &Texels, open: &[f32]) -> TexelWeights {
         let instance: Vec<u32> =
             (0..texels.mapped).map(|i| world.refs[texels.pieces_of(i)[0].triangle as usize].instance).collect();
-        let weight = (0..texels.mapped)
+        let weight: Vec<f64> = (0..texels.mapped)
             .map(|i| {
                 let node = f64::from(world.scene.instances[instance[i] as usize].weight);
                 f64::from(texels.texels[i].area) * f64::from(open[i]) * node
             })
             .collect();
-        TexelWeights { weight, instance }
+        let stored = open.iter().map(|&o| o > 0.0).collect();
+        TexelWeights { weight, instance, stored }
+    }
+}
+
+impl TexelWeights {
+    /// Leaves a texel out of the maps and of all figures.
+    pub fn drop(&mut self, texel: usize) {
+        self.weight[texel] = 0.0;
+        self.stored[texel] = false;
     }
 }
 

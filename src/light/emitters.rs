@@ -1,5 +1,6 @@
 //! All emitters of a scene, and one sample of their light at a point.
 
+use super::lighting::Lighting;
 use super::receiver::Receiver;
 use super::sky::SkySampler;
 use super::spherical::{sample_spherical_triangle, solid_angle};
@@ -92,11 +93,11 @@ pub struct Emitters {
 }
 
 impl Emitters {
-    /// Gathers what emits in `world`, leaving out what is black or switched off.
-    pub fn new(world: &World, settings: LightSettings) -> Emitters {
+    /// Gathers what emits: surfaces of `world`, and `lighting`, leaving out what is black or switched off.
+    pub fn new(world: &World, lighting: &Lighting, settings: LightSettings) -> Emitters {
         let mut looped = Vec::new();
         let mut punctual = Vec::new();
-        for light in world.scene.lights.iter().filter(|l| l.bake != BakeMode::Off && l.intensity.max_element() > 0.0) {
+        for light in lighting.lights.iter().filter(|l| l.bake != BakeMode::Off && l.intensity.max_element() > 0.0) {
             let p = to_frame(light, world, settings);
             if matches!(p.shape, Shape::Directional { .. }) { looped.push(p) } else { punctual.push(p) }
         }
@@ -122,7 +123,7 @@ impl Emitters {
             });
             tree_lights.push(TreeLight::Punctual(i as u32));
         }
-        let sky = world.scene.sky.as_ref().and_then(SkySampler::new);
+        let sky = lighting.sky.as_ref().and_then(SkySampler::new);
         Emitters { looped, punctual, tree: LightTree::new(&bounds), tree_lights, sky }
     }
 

@@ -7,6 +7,7 @@
 
 mod emitters;
 mod gather;
+mod lighting;
 mod open;
 mod receiver;
 mod sky;
@@ -16,6 +17,7 @@ mod visibility;
 
 pub use emitters::{Emitters, LightSettings, PUNCTUAL_LOOP_LIMIT};
 pub use gather::{Direct, START_SLOTS, StartSlot};
+pub use lighting::Lighting;
 pub use open::open_shares;
 pub use receiver::Receiver;
 pub use sky::SkySampler;

@@ -20,3 +20,13 @@ pub enum Sky {
         rotation: f32,
     },
 }
+impl Sky {
+    /// stub
+    pub fn from_file(
+        _p: &std::path::Path,
+        _r: f32,
+        _s: f32,
+    ) -> Result<(Sky, Vec<crate::error::Warning>), crate::error::SceneError> {
+        Ok((Sky::Constant(Vec3::ZERO), vec![]))
+    }
+}
