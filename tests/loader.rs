@@ -1,5 +1,8 @@
 //! The loader against good, odd and damaged files: a scene or an error that names its cause, never a panic.
 
+// A test says on standard error what it skipped.
+#![allow(clippy::print_stderr)]
+
 mod common;
 
 use common::glb::SceneBuilder;

@@ -97,8 +97,8 @@ fn parse_json(bytes: &[u8], warnings: &mut Vec<Warning>) -> Result<Value, String
     };
     // Some exporters pad the chunk with zeros instead of spaces.
     let end = text.iter().rposition(|&b| b != 0).map_or(0, |i| i + 1);
-    let json: Value =
-        serde_json::from_slice(&text[..end]).map_err(|e| format!("is not glTF: {e}; give a .glb or .gltf file"))?;
+    let json: Value = serde_json::from_slice(&text[..end])
+        .map_err(|e| format!("its JSON cannot be read ({e}); export the file again, or give a .glb or .gltf file"))?;
     if !json.is_object() {
         return Err("is JSON but not glTF; give a .glb or .gltf file".into());
     }

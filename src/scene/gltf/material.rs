@@ -11,6 +11,7 @@ use json::material::AlphaMode;
 use json::texture::{Info, MagFilter, WrappingMode};
 use json::validation::Checked;
 use std::collections::BTreeMap;
+use std::collections::btree_map::Entry;
 use std::sync::Arc;
 
 /// Reads the materials that `meshes` use, and resolves the references: what has none gets the default
@@ -116,6 +117,13 @@ fn unit(reader: &mut Reader, v: Vec4, label: &str) -> Vec4 {
     clamped
 }
 
+/// An image as the file has it.
+#[derive(Clone)]
+struct EncodedImage {
+    name: String,
+    bytes: Arc<[u8]>,
+}
+
 /// Textures read so far.
 #[derive(Default)]
 struct Textures {
@@ -123,7 +131,7 @@ struct Textures {
     /// Place in `all` by index in the document; `None` where its image cannot be had.
     by_source: BTreeMap<usize, Option<usize>>,
     /// Encoded images by index in the document.
-    images: BTreeMap<usize, Option<(String, Arc<[u8]>)>>,
+    images: BTreeMap<usize, Option<EncodedImage>>,
 }
 
 impl Textures {
@@ -171,11 +179,11 @@ impl Textures {
                 .warn("image-not-found", format!("{texture} has no image that can be read; {label} is baked without"));
             return Ok(None);
         }
-        if !self.images.contains_key(&image) {
-            let found = read_image(reader, image, &texture)?;
-            self.images.insert(image, found);
-        }
-        let Some(Some((name, encoded))) = self.images.get(&image) else { return Ok(None) };
+        let encoded = match self.images.entry(image) {
+            Entry::Occupied(known) => known.get().clone(),
+            Entry::Vacant(new) => new.insert(read_image(reader, image, &texture)?).clone(),
+        };
+        let Some(EncodedImage { name, bytes }) = encoded else { return Ok(None) };
         let sampler: json::texture::Sampler = match raw.sampler {
             Some(s) => reader.object("samplers", s.value(), &texture)?,
             None => json::texture::Sampler::default(),
@@ -187,12 +195,12 @@ impl Textures {
         };
         let nearest = matches!(sampler.mag_filter, Some(Checked::Valid(MagFilter::Nearest)));
         let wrap = [wrap(sampler.wrap_s), wrap(sampler.wrap_t)];
-        Ok(Some(Texture::new(name.clone(), encoded.clone(), wrap, nearest)))
+        Ok(Some(Texture::new(name, bytes, wrap, nearest)))
     }
 }
 
 /// Name and bytes of an image; `None`, with a warning, where its file cannot be read.
-fn read_image(reader: &mut Reader, index: usize, by: &str) -> Result<Option<(String, Arc<[u8]>)>, SceneError> {
+fn read_image(reader: &mut Reader, index: usize, by: &str) -> Result<Option<EncodedImage>, SceneError> {
     // The crate's type demands a MIME type where bytes tell the format just as well: plain JSON then.
     let raw = reader.value("images", index, by)?;
     let label = reader.label("images", index);
@@ -201,14 +209,14 @@ fn read_image(reader: &mut Reader, index: usize, by: &str) -> Result<Option<(Str
     let name = reader.name("images", index).or(file).map_or_else(|| format!("image {index}"), str::to_owned);
     if let Some(view) = raw.get("bufferView").and_then(|v| v.as_u64()) {
         let (bytes, _) = reader.view(view as usize, &label)?;
-        return Ok(Some((name, bytes.into())));
+        return Ok(Some(EncodedImage { name, bytes: bytes.into() }));
     }
     let Some(uri) = uri else {
         reader.warn("image-not-found", format!("{label} has neither a uri nor a bufferView and is taken as white"));
         return Ok(None);
     };
     match container::read_uri(&reader.document.path, uri, &label) {
-        Ok(bytes) => Ok(Some((name, bytes.into()))),
+        Ok(bytes) => Ok(Some(EncodedImage { name, bytes: bytes.into() })),
         Err(SceneError::Io { path, source }) => {
             let message = format!("{label}: cannot read {} ({source}); it is taken as white", path.display());
             reader.warn("image-not-found", message);

@@ -73,7 +73,7 @@ fn read_primitive(
         Some(i) => attribute::<4>(reader, i, &[3, 4], 1.0, positions.len(), &format!("{label} COLOR_0"))?,
         None => Vec::new(),
     };
-    let colors = colors.into_iter().map(|c| Vec4::from(c)).map(|c| if c.is_finite() { c } else { Vec4::ONE }).collect();
+    let colors = colors.into_iter().map(Vec4::from).map(|c| if c.is_finite() { c } else { Vec4::ONE }).collect();
     let mut tex_coords: Vec<Vec<Vec2>> = Vec::new();
     for set in 0..MAX_TEX_COORDS {
         let Some(i) = accessor(Semantic::TexCoords(set)) else { continue };
