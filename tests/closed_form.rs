@@ -2,7 +2,7 @@
 
 mod common;
 
-use common::{Builder, mean_where, plain, received, run};
+use common::rooms::{Builder, mean_where, plain, received, run};
 use glam::Vec3;
 
 /// Scene CUBE of the Keldysh institute's lighting tests: inside of a 10 m cube, point light of 50 000 cd in its
