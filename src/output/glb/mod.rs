@@ -219,7 +219,9 @@ fn for_each_vertex_reference(json: &mut Value, f: &mut impl FnMut(&mut Value)) {
 
 /// Accessors that anything refers to.
 fn used_accessors(json: &Value) -> BTreeSet<usize> {
-    let values = |value: &'_ Value| value.as_object().into_iter().flat_map(|o| o.values());
+    fn values(object: &Value) -> impl Iterator<Item = &Value> {
+        object.as_object().into_iter().flat_map(|o| o.values())
+    }
     let mut used: Vec<&Value> = Vec::new();
     for primitive in items(json, "meshes").flat_map(|mesh| items(mesh, "primitives")) {
         used.push(&primitive["indices"]);
