@@ -10,6 +10,7 @@ use evenlight::scene::{BakeMode, Instance, Light, LightKind, Mesh, Primitive, Sc
 use glam::{DAffine3, DVec3, Vec2, Vec3};
 use glb_reader::{Parsed, parse};
 use serde_json::{Value, json};
+use std::path::PathBuf;
 
 /// A document under construction: views and accessors in the order in which they are added.
 #[derive(Default)]
@@ -224,6 +225,89 @@ fn scene_of(document: &Document) -> Scene {
         sky: None,
         warnings: Vec::new(),
         source: document.clone(),
+    }
+}
+
+/// Files of the shared scenes, or none with a line that says so.
+#[allow(clippy::print_stderr)]
+fn shared_scenes() -> Vec<PathBuf> {
+    let shared = std::env::var_os("EVENLIGHT_SHARED")
+        .map_or_else(|| PathBuf::from(concat!(env!("CARGO_MANIFEST_DIR"), "/../shared")), PathBuf::from);
+    let folders = ["scenes", "scenes/loader", "scenes/loader/external-uri/CubeImageUriSpaces"];
+    let files = folders.iter().filter_map(|f| std::fs::read_dir(shared.join(f)).ok()).flatten().flatten();
+    let is_scene = |p: &PathBuf| p.extension().is_some_and(|e| e == "glb" || e == "gltf");
+    let mut scenes: Vec<PathBuf> = files.map(|f| f.path()).filter(is_scene).collect();
+    scenes.sort();
+    if scenes.is_empty() {
+        eprintln!("skipped: no scenes beside the repository");
+    }
+    scenes
+}
+
+/// The worst that charts can do to real files, and the best. With EVENLIGHT_TEST_OUTPUT set, the files are
+/// kept there for other validators.
+#[test]
+fn real_scenes_stay_valid() {
+    let temporary = tempfile::tempdir().unwrap();
+    let folder = std::env::var_os("EVENLIGHT_TEST_OUTPUT").map_or(temporary.path().into(), PathBuf::from);
+    for file in shared_scenes() {
+        // Files that cannot be loaded are the loader's affair.
+        let Ok(scene) = Scene::from_gltf(&file) else { continue };
+        let name = file.file_stem().unwrap().to_string_lossy().into_owned();
+        for split in [false, true] {
+            let atlas = scattered_atlas(&scene, split);
+            let path = folder.join(format!("{name}{}.glb", if split { "-split" } else { "" }));
+            let info = write(&path, &scene.source, &scene, &atlas, &GlbOptions::default()).unwrap();
+            let layouts = atlas.meshes.iter().flatten().flat_map(|m| &m.primitives);
+            let loaded = scene.meshes.iter().flat_map(|m| &m.primitives);
+            let splits = layouts.zip(loaded).map(|(l, p)| l.source_vertices.len() - p.positions.len()).sum::<usize>();
+            assert_eq!(info.split_vertices, splits, "{name}");
+            assert!(info.warnings.is_empty(), "{name}: {:?}", info.warnings);
+            parse(&std::fs::read(&path).unwrap()).check();
+            let again = Scene::from_gltf(&path).unwrap();
+            assert_eq!(again.triangle_count(), scene.triangle_count(), "{name}");
+            let sets = again.meshes.iter().flat_map(|m| &m.primitives).map(|p| &p.tex_coords);
+            assert!(sets.into_iter().all(|s| s.get(1).is_some_and(|uvs| !uvs.is_empty())), "{name}");
+            for (a, b) in scene.meshes.iter().zip(&again.meshes) {
+                for (a, b) in a.primitives.iter().zip(&b.primitives) {
+                    let corners = |p: &Primitive| -> Vec<Vec3> {
+                        p.triangles.iter().flatten().map(|&v| p.positions[v as usize]).collect()
+                    };
+                    assert_eq!(corners(a), corners(b), "{name}");
+                }
+            }
+        }
+    }
+}
+
+/// An atlas whose charts are single triangles where `split`, all in the unit square.
+fn scattered_atlas(scene: &Scene, split: bool) -> Atlas {
+    let placement = Placement { page: 0, origin: Vec2::new(1.0, 2.0), size: Vec2::new(3.0, 4.0) };
+    let primitive = |p: &Primitive| {
+        let mut layout =
+            PrimitiveLayout { source_vertices: (0..p.positions.len() as u32).collect(), ..Default::default() };
+        let mut taken = vec![false; p.positions.len()];
+        for corners in &p.triangles {
+            layout.charts.push(0);
+            layout.triangles.push(corners.map(|v| {
+                if split && std::mem::replace(&mut taken[v as usize], true) {
+                    layout.source_vertices.push(v);
+                    layout.source_vertices.len() as u32 - 1
+                } else {
+                    v
+                }
+            }));
+        }
+        layout.uvs = vec![Vec2::splat(0.25); layout.source_vertices.len()];
+        layout
+    };
+    let mesh = |m: &Mesh| MeshLayout { primitives: m.primitives.iter().map(primitive).collect(), chart_count: 1 };
+    Atlas {
+        pages: vec![Page { width: 64, height: 32 }],
+        meshes: scene.meshes.iter().map(|m| Some(mesh(m))).collect(),
+        placements: vec![Some(placement); scene.instances.len()],
+        first_chart: vec![0; scene.instances.len() + 1],
+        ..Default::default()
     }
 }
 
@@ -451,7 +535,7 @@ fn broken_geometry_is_named() {
     document.buffers[1].truncate(8);
     let path = folder.path().join("scene.glb");
     let error = write(&path, &document, &scene, &atlas, &GlbOptions::default()).unwrap_err().to_string();
-    assert!(error.contains("mesh 1") && error.contains("bufferView"), "{error}");
+    assert!(error.contains("mesh 1,") || error.contains("mesh 1 ") && error.contains("bufferView"), "{error}");
     assert!(!path.exists());
     let error = write(&path, &document, &scene, &Atlas::default(), &GlbOptions::default()).unwrap_err();
     assert!(error.to_string().contains("another scene"), "{error}");

@@ -102,15 +102,15 @@ fn little_endian(bytes: &[u8]) -> usize {
 /// Bytes of a bufferView and its stride.
 fn view_bytes(document: &Document, index: usize) -> Result<(&[u8], Option<usize>), Unreadable> {
     let view = &document.json["bufferViews"][index];
-    if view["extensions"].get("EXT_meshopt_compression").is_some() {
-        return Err(Unreadable::Compressed);
-    }
     let slice = || {
         let buffer = document.buffers.get(integer(view.get("buffer"))?)?;
         let start = integer(view.get("byteOffset")).unwrap_or(0);
         buffer.get(start..start.checked_add(integer(view.get("byteLength"))?)?)
     };
-    let bytes = slice().ok_or_else(|| Unreadable::Broken(format!("bufferView {index} is outside its buffer")))?;
+    let bytes = slice().ok_or_else(|| match super::container::compressed(view) {
+        Some(_) => Unreadable::Compressed,
+        None => Unreadable::Broken(format!("bufferView {index} is outside its buffer")),
+    })?;
     Ok((bytes, integer(view.get("byteStride")).filter(|&s| s > 0)))
 }
 

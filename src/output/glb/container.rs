@@ -109,18 +109,22 @@ fn rebase(json: &mut Value, document: &Document, dead: &[usize]) -> Vec<u8> {
     let placeholders = join_buffers(json, &moved);
     for view in items_mut(json, "bufferViews") {
         move_range(view, &moved, &placeholders);
-        if let Some(range) = view.get_mut("extensions").and_then(|e| e.get_mut(MESHOPT)) {
-            move_range(range, &moved, &placeholders);
+        for name in MESHOPT {
+            if let Some(range) = view.get_mut("extensions").and_then(|e| e.get_mut(name)) {
+                move_range(range, &moved, &placeholders);
+            }
         }
     }
     bin
 }
 
-const MESHOPT: &str = "EXT_meshopt_compression";
+/// The extension under its two names.
+const MESHOPT: [&str; 2] = ["EXT_meshopt_compression", "KHR_meshopt_compression"];
 
 /// The compressed bytes of a view, which lie in a range of their own.
-fn compressed(view: &Value) -> Option<&Value> {
-    view.get("extensions")?.get(MESHOPT)
+pub(super) fn compressed(view: &Value) -> Option<&Value> {
+    let extensions = view.get("extensions")?;
+    MESHOPT.iter().find_map(|name| extensions.get(name))
 }
 
 /// Overlapping and touching ranges made one; ascending.

@@ -149,7 +149,7 @@ fn patch_primitives(
             info.rewritten_primitives += usize::from(patched.rewritten);
             info.split_vertices += patched.split_vertices;
             if !patched.lost.is_empty() {
-                let what = format!("{}: compressed and not kept: {}", name(), patched.lost.join(", "));
+                let what = format!("{}: not kept: {}", name(), patched.lost.join(", "));
                 info.warnings.push(Warning::new("attribute-dropped", what));
             }
         }

@@ -37,7 +37,7 @@ pub(super) struct Patched {
     /// Vertices were rewritten, and by how many there are more than the file had.
     pub rewritten: bool,
     pub split_vertices: usize,
-    /// Attributes that were compressed and could not be kept.
+    /// Attributes that could not be kept, with the reason.
     pub lost: Vec<String>,
 }
 
@@ -124,14 +124,21 @@ impl Patch<'_> {
                     continue;
                 }
                 let copy = match self.copy(old, &name, &sources, draco) {
-                    Ok(copy) => Some(copy),
-                    Err(Unreadable::Broken(what)) => return Err(what),
-                    Err(Unreadable::Compressed) if is_target => None,
-                    Err(Unreadable::Compressed) => self.decoded(&name, &sources),
+                    Ok(copy) => Ok(copy),
+                    Err(Unreadable::Broken(what)) => Err(what),
+                    Err(Unreadable::Compressed) => {
+                        let decoded = if is_target { None } else { self.decoded(&name, &sources) };
+                        decoded.ok_or_else(|| "it is compressed".to_owned())
+                    }
                 };
-                let Some(copy) = copy else {
-                    lost.push(name);
-                    continue;
+                // What the bake did not need must not keep it from being written.
+                let copy = match copy {
+                    Ok(copy) => copy,
+                    Err(what) if name == "POSITION" && !is_target => return Err(what),
+                    Err(what) => {
+                        lost.push(format!("{name} ({what})"));
+                        continue;
+                    }
                 };
                 let index = self.first_new + added.len();
                 copies.insert(old, index);
@@ -186,7 +193,7 @@ impl Patch<'_> {
         let mut data = Vec::with_capacity(sources.len() * stride);
         for &v in sources {
             if !accessor.copy_element(v as usize, &mut data) {
-                let what = format!("{name} (accessor {index}) has {} vertices, not {}", accessor.count, v + 1);
+                let what = format!("accessor {index} has {} elements, vertex {v} is used", accessor.count);
                 return Err(Unreadable::Broken(what));
             }
             data.resize(data.len().next_multiple_of(4), 0);
