@@ -1,5 +1,9 @@
 //! 6. The finished maps in memory.
 
+mod gutter;
+
+pub use gutter::fill_gutters;
+
 /// The finished lightmaps, one per atlas page.
 #[derive(Debug, Clone, Default)]
 pub struct Lightmap {
@@ -14,7 +18,8 @@ pub struct LightmapPage {
     pub width: u32,
     /// Height in texels.
     pub height: u32,
-    /// Irradiance E [lux], linear Rec. 709 RGB, as stored: gutters filled, 0 far from any chart.
+    /// Irradiance E [lux], linear Rec. 709 RGB, as stored: texels without coverage filled by
+    /// [`fill_gutters`].
     pub irradiance: Vec<[f32; 3]>,
     /// Half the difference of the two halves, (E_odd - E_even) / 2 [lux]: as noisy as E itself.
     pub half_difference: Vec<[f32; 3]>,
