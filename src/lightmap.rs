@@ -33,7 +33,6 @@ pub struct LightmapPage {
 
 use crate::atlas::{Atlas, Texels};
 use crate::options::BakeOptions;
-use crate::output::gutter::fill_gutters;
 use crate::scene::World;
 use crate::solve::Solution;
 

@@ -14,7 +14,8 @@ fn cube_with_point_light() {
     b.room(Vec3::splat(-5.0), Vec3::splat(5.0), grey, 40);
     b.point_light(Vec3::ZERO, 50_000.0);
     let scene = b.finish();
-    let bake = run(&scene, &plain(256, 1.0));
+    let bake = run(&scene, &plain(256, 5.0));
+    println!("{:?} {:?}", bake.report.work, bake.report.atlas);
     let pi = std::f64::consts::PI;
     let luminance = |e: f64| e * (2.0 / 3.0) / pi;
     let mean = luminance(received(&bake) / 600.0);
@@ -24,7 +25,7 @@ fn cube_with_point_light() {
         assert!(n >= 1);
         luminance(e)
     };
-    println!("error {:?}", bake.report.texel_error_percent);
+    println!("error {:?} {:?} {:?}", bake.report.texel_error_percent, bake.report.work, bake.report.atlas);
     for (x, y, l) in [(0.0, 0.0, 892.8), (0.5, 0.0, 768.7), (0.5, 0.5, 686.7)] {
         let found = spot(x, y);
         println!("({x}, {y}): {found} for {l}");
@@ -39,7 +40,7 @@ fn furnace() {
     let wall = b.diffuse(0.5, 3.0);
     b.room(Vec3::new(-1.0, -2.0, -1.5), Vec3::new(1.0, 2.0, 1.5), wall, 16);
     let scene = b.finish();
-    let bake = run(&scene, &plain(128, 1.0));
+    let bake = run(&scene, &plain(128, 5.0));
     let expected = std::f64::consts::PI * 3.0 / 0.5;
     let area = 2.0 * (2.0 * 4.0 + 2.0 * 3.0 + 4.0 * 3.0);
     let mean = received(&bake) / area;

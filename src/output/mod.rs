@@ -5,7 +5,6 @@
 
 mod files;
 pub mod glb;
-pub mod gutter;
 pub mod lightmap_exr;
 pub mod manifest;
 pub mod preview;
