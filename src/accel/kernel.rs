@@ -113,73 +113,93 @@ mod avx2 {
     }
 
     impl<'r> Avx2Lanes<'r> {
-        /// # Safety
-        /// The processor must have AVX2.
-        #[inline(always)]
-        pub unsafe fn new(ray: &'r PreparedRay) -> Avx2Lanes<'r> {
-            // SAFETY: the caller promises AVX2.
-            let splat = |x: f32| unsafe { _mm256_set1_ps(x) };
+        #[target_feature(enable = "avx2")]
+        #[inline]
+        pub fn new(ray: &'r PreparedRay) -> Avx2Lanes<'r> {
+            let splat = |v: [f32; 3]| [_mm256_set1_ps(v[0]), _mm256_set1_ps(v[1]), _mm256_set1_ps(v[2])];
             Avx2Lanes {
                 ray,
-                near_origin: ray.near_origin.to_array().map(splat),
-                far_origin: ray.far_origin.to_array().map(splat),
-                inverse: ray.inverse.to_array().map(splat),
-                origin: ray.axes.map(|axis| splat(ray.origin[axis])),
-                shear: ray.shear.map(splat),
+                near_origin: splat(ray.near_origin.to_array()),
+                far_origin: splat(ray.far_origin.to_array()),
+                inverse: splat(ray.inverse.to_array()),
+                origin: splat(ray.axes.map(|axis| ray.origin[axis])),
+                shear: [_mm256_set1_ps(ray.shear[0]), _mm256_set1_ps(ray.shear[1])],
             }
         }
+
+        #[target_feature(enable = "avx2")]
+        #[inline]
+        fn enter(&self, node: &Node, limit: f32) -> (u32, [f32; WIDTH]) {
+            let mut near = _mm256_setzero_ps();
+            let mut far = _mm256_set1_ps(limit);
+            for axis in 0..3 {
+                let near_row = self.ray.near_rows[axis];
+                let enter = _mm256_sub_ps(load(&node.bounds[near_row]), self.near_origin[axis]);
+                let leave = _mm256_sub_ps(load(&node.bounds[near_row ^ 1]), self.far_origin[axis]);
+                near = _mm256_max_ps(_mm256_mul_ps(enter, self.inverse[axis]), near);
+                far = _mm256_min_ps(_mm256_mul_ps(leave, self.inverse[axis]), far);
+            }
+            far = _mm256_mul_ps(far, _mm256_set1_ps(FAR_FACTOR));
+            let mask = _mm256_movemask_ps(_mm256_cmp_ps::<_CMP_LE_OQ>(near, far)) as u32;
+            let mut distances = [0.0; WIDTH];
+            // SAFETY: the target holds eight f32.
+            unsafe { _mm256_storeu_ps(distances.as_mut_ptr(), near) };
+            (mask, distances)
+        }
+
+        #[target_feature(enable = "avx2")]
+        #[inline]
+        fn may_hit(&self, packet: &Packet) -> u32 {
+            let (a, b, c) =
+                (self.shear(&packet.corners[0]), self.shear(&packet.corners[1]), self.shear(&packet.corners[2]));
+            let (u, v, w) = (edge(c, b), edge(a, c), edge(b, a));
+            // Minimum and maximum may drop a NaN, which only lets a lane through or leaves its other two edges
+            // to decide.
+            let least = _mm256_min_ps(u, _mm256_min_ps(v, w));
+            let most = _mm256_max_ps(u, _mm256_max_ps(v, w));
+            let zero = _mm256_setzero_ps();
+            let negative = _mm256_cmp_ps::<_CMP_LT_OQ>(least, zero);
+            let positive = _mm256_cmp_ps::<_CMP_GT_OQ>(most, zero);
+            !_mm256_movemask_ps(_mm256_and_ps(negative, positive)) as u32
+        }
+
+        /// Corners relative to the ray, in the plane across it.
+        #[target_feature(enable = "avx2")]
+        #[inline]
+        fn shear(&self, corner: &[[f32; WIDTH]; 3]) -> [__m256; 2] {
+            let [kx, ky, kz] = self.ray.axes;
+            let z = _mm256_sub_ps(load(&corner[kz]), self.origin[2]);
+            let x = _mm256_sub_ps(load(&corner[kx]), self.origin[0]);
+            let y = _mm256_sub_ps(load(&corner[ky]), self.origin[1]);
+            [_mm256_sub_ps(x, _mm256_mul_ps(self.shear[0], z)), _mm256_sub_ps(y, _mm256_mul_ps(self.shear[1], z))]
+        }
+    }
+
+    #[target_feature(enable = "avx2")]
+    #[inline]
+    fn load(row: &[f32; WIDTH]) -> __m256 {
+        // SAFETY: a row holds eight f32.
+        unsafe { _mm256_loadu_ps(row.as_ptr()) }
+    }
+
+    /// Edge function of two corners.
+    #[target_feature(enable = "avx2")]
+    #[inline]
+    fn edge(p: [__m256; 2], q: [__m256; 2]) -> __m256 {
+        _mm256_sub_ps(_mm256_mul_ps(p[0], q[1]), _mm256_mul_ps(p[1], q[0]))
     }
 
     impl Lanes for Avx2Lanes<'_> {
         #[inline(always)]
         fn enter(&self, node: &Node, limit: f32) -> (u32, [f32; WIDTH]) {
-            // SAFETY: AVX2 was promised to `new`; rows are arrays of eight, aligned by the node.
-            unsafe {
-                let row = |k: usize| _mm256_load_ps(node.bounds[k].as_ptr());
-                let mut near = _mm256_setzero_ps();
-                let mut far = _mm256_set1_ps(limit);
-                for axis in 0..3 {
-                    let near_row = self.ray.near_rows[axis];
-                    let enter = _mm256_mul_ps(_mm256_sub_ps(row(near_row), self.near_origin[axis]), self.inverse[axis]);
-                    let leave =
-                        _mm256_mul_ps(_mm256_sub_ps(row(near_row ^ 1), self.far_origin[axis]), self.inverse[axis]);
-                    near = _mm256_max_ps(enter, near);
-                    far = _mm256_min_ps(leave, far);
-                }
-                far = _mm256_mul_ps(far, _mm256_set1_ps(FAR_FACTOR));
-                let mask = _mm256_movemask_ps(_mm256_cmp_ps::<_CMP_LE_OQ>(near, far)) as u32;
-                let mut distances = [0.0; WIDTH];
-                _mm256_storeu_ps(distances.as_mut_ptr(), near);
-                (mask, distances)
-            }
+            // SAFETY: only a processor with AVX2 can have called `new`.
+            unsafe { self.enter(node, limit) }
         }
 
         #[inline(always)]
         fn may_hit(&self, packet: &Packet) -> u32 {
-            let [kx, ky, kz] = self.ray.axes;
-            // SAFETY: AVX2 was promised to `new`; rows are arrays of eight, aligned by the packet.
-            unsafe {
-                let row = |k: usize, axis: usize| _mm256_load_ps(packet.corners[k][axis].as_ptr());
-                let corner = |k: usize| {
-                    let z = _mm256_sub_ps(row(k, kz), self.origin[2]);
-                    let x = _mm256_sub_ps(_mm256_sub_ps(row(k, kx), self.origin[0]), _mm256_mul_ps(self.shear[0], z));
-                    let y = _mm256_sub_ps(_mm256_sub_ps(row(k, ky), self.origin[1]), _mm256_mul_ps(self.shear[1], z));
-                    [x, y]
-                };
-                let edge = |p: [__m256; 2], q: [__m256; 2]| {
-                    _mm256_sub_ps(_mm256_mul_ps(p[0], q[1]), _mm256_mul_ps(p[1], q[0]))
-                };
-                let (a, b, c) = (corner(0), corner(1), corner(2));
-                let (u, v, w) = (edge(c, b), edge(a, c), edge(b, a));
-                // Minimum and maximum may drop a NaN, which only lets a lane through or leaves its other two
-                // edges to decide.
-                let least = _mm256_min_ps(u, _mm256_min_ps(v, w));
-                let most = _mm256_max_ps(u, _mm256_max_ps(v, w));
-                let zero = _mm256_setzero_ps();
-                let negative = _mm256_cmp_ps::<_CMP_LT_OQ>(least, zero);
-                let positive = _mm256_cmp_ps::<_CMP_GT_OQ>(most, zero);
-                !_mm256_movemask_ps(_mm256_and_ps(negative, positive)) as u32
-            }
+            // SAFETY: only a processor with AVX2 can have called `new`.
+            unsafe { self.may_hit(packet) }
         }
     }
 }

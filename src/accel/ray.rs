@@ -56,18 +56,16 @@ impl PreparedRay {
     /// nothing: not finite, no direction, no length, or passing far from every triangle.
     #[inline]
     pub fn new(ray: &Ray, extent: f32) -> Option<PreparedRay> {
-        // A comparison with NaN is false: such rays end here.
-        if !(ray.t_max > 0.0 && ray.origin.abs().max_element() < f32::INFINITY) {
-            return None;
-        }
         let size = ray.direction.abs().max_element();
-        if !(ray.direction.is_finite() && size >= f32::MIN_POSITIVE) {
+        let usable = ray.origin.is_finite() && ray.direction.is_finite() && size >= f32::MIN_POSITIVE;
+        // The length may be NaN, which is not above 0.
+        if !(usable && ray.t_max > 0.0) {
             return None;
         }
         // The exponent bits of `size` alone are the power of two below it.
         let scale = 1.0 / f64::from(f32::from_bits(size.to_bits() & 0x7f80_0000));
         let d = (ray.direction.as_dvec3() * scale).as_vec3();
-        let end = f64::from(ray.t_max) * scale;
+        let end = f64::from(ray.t_max) / scale;
         let (origin, start) = if ray.origin.abs().max_element() <= 2.0 * extent {
             (ray.origin, 0.0)
         } else {
@@ -109,7 +107,7 @@ impl PreparedRay {
 
     /// Distance in units of the given direction, from the given origin.
     pub fn distance(&self, t: f32) -> f32 {
-        ((self.start + f64::from(t)) / self.scale) as f32
+        ((self.start + f64::from(t)) * self.scale) as f32
     }
 }
 

@@ -113,16 +113,10 @@ pub(super) fn trace<Q: Query>(
 }
 
 /// [`walk`] compiled for AVX2 as a whole: a call across the boundary in the loop would cost more than it gains.
-///
-/// # Safety
-/// The processor must have AVX2 and BMI1.
 #[cfg(target_arch = "x86_64")]
 #[target_feature(enable = "avx2,bmi1")]
-#[allow(unsafe_code)]
-unsafe fn walk_avx2<Q: Query>(nodes: &[Node], packets: &[Packet], ray: &PreparedRay, query: &mut Q) -> bool {
-    // SAFETY: AVX2 is promised by the caller.
-    let lanes = unsafe { super::kernel::Avx2Lanes::new(ray) };
-    walk(&lanes, nodes, packets, ray, query)
+fn walk_avx2<Q: Query>(nodes: &[Node], packets: &[Packet], ray: &PreparedRay, query: &mut Q) -> bool {
+    walk(&super::kernel::Avx2Lanes::new(ray), nodes, packets, ray, query)
 }
 
 #[inline(always)]

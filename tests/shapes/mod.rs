@@ -99,7 +99,7 @@ pub fn furnished_room(spheres: usize, n: i32) -> Vec<[Vec3; 3]> {
         let size = 0.05 + 0.15 * random.unit();
         let shift = random.cube() * (0.95 - size);
         let turn = Mat3::from_rotation_y(6.0 * random.unit()) * Mat3::from_rotation_x(6.0 * random.unit());
-        triangles.extend(moved(sphere(n, 0.1), turn, size, shift));
+        triangles.extend(moved(sphere(n, 0.03), turn, size, shift));
     }
     triangles
 }
