@@ -37,21 +37,26 @@ impl Sky {
     /// [`SceneError`] names the file and the cure: not readable, neither format, damaged, more than 2^28
     /// texels, or a `rotation` or `scale` that is not finite (`scale` may not be negative either).
     pub fn from_file(path: &Path, rotation: f32, scale: f32) -> Result<(Sky, Vec<Warning>), SceneError> {
+        let io = |source| SceneError::Io { path: path.into(), source };
+        if !path.metadata().map_err(io)?.is_file() {
+            let what = "is not a file; give a .hdr or .exr image as the sky".into();
+            return Err(SceneError::Invalid { path: path.into(), what });
+        }
+        Sky::from_bytes(path, &std::fs::read(path).map_err(io)?, rotation, scale)
+    }
+
+    /// The contents of a file; `path` names it in messages.
+    fn from_bytes(path: &Path, bytes: &[u8], rotation: f32, scale: f32) -> Result<(Sky, Vec<Warning>), SceneError> {
         let invalid = |what: String| SceneError::Invalid { path: path.into(), what };
         if !rotation.is_finite() || !scale.is_finite() || scale < 0.0 {
             return Err(invalid(format!(
                 "a sky's rotation ({rotation}) must be a number, its scale ({scale}) one from 0"
             )));
         }
-        let io = |source| SceneError::Io { path: path.into(), source };
-        if !path.metadata().map_err(io)?.is_file() {
-            return Err(invalid("is not a file; give a .hdr or .exr image as the sky".into()));
-        }
-        let bytes = std::fs::read(path).map_err(io)?;
         let picture = if bytes.starts_with(b"#?") {
-            read_hdr(&bytes)
+            read_hdr(bytes)
         } else if bytes.starts_with(&[0x76, 0x2f, 0x31, 0x01]) {
-            read_exr(&bytes)
+            read_exr(bytes)
         } else {
             Err("is neither a .hdr nor a .exr image".into())
         };
@@ -139,10 +144,7 @@ mod tests {
     use super::*;
 
     fn load(name: &str, bytes: &[u8]) -> Result<(Sky, Vec<Warning>), SceneError> {
-        let folder = tempfile::tempdir().unwrap();
-        let path = folder.path().join(name);
-        std::fs::write(&path, bytes).unwrap();
-        Sky::from_file(&path, 90.0, 2.0)
+        Sky::from_bytes(Path::new(name), bytes, 90.0, 2.0)
     }
 
     fn exr_bytes(texel: [f32; 3]) -> Vec<u8> {

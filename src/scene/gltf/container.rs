@@ -17,14 +17,13 @@ use std::path::{Path, PathBuf};
 const JSON_CHUNK: u32 = 0x4E4F_534A;
 const BIN_CHUNK: u32 = 0x004E_4942;
 
-/// Reads a file with its buffers.
-pub(super) fn read(path: &Path) -> Result<(Document, Vec<Warning>), SceneError> {
-    let bytes = read_file(path)?;
+/// Splits a file's contents into JSON and buffers; `path` says where it is from and where its other files are.
+pub(super) fn read(path: &Path, bytes: &[u8]) -> Result<(Document, Vec<Warning>), SceneError> {
     let mut warnings = Vec::new();
     let (json, bin) = if bytes.starts_with(b"glTF") {
-        split_glb(&bytes, &mut warnings).map_err(|what| invalid(path, what))?
+        split_glb(bytes, &mut warnings).map_err(|what| invalid(path, what))?
     } else {
-        (&bytes[..], None)
+        (bytes, None)
     };
     let json = parse_json(json, &mut warnings).map_err(|what| invalid(path, what))?;
     check_version(&json, &mut warnings).map_err(|what| invalid(path, what))?;
@@ -37,7 +36,7 @@ fn invalid(path: &Path, what: impl Into<String>) -> SceneError {
 }
 
 /// Contents of a plain file: a folder or a pipe is refused rather than waited for.
-fn read_file(path: &Path) -> Result<Vec<u8>, SceneError> {
+pub(super) fn read_file(path: &Path) -> Result<Vec<u8>, SceneError> {
     let io = |source| SceneError::Io { path: path.into(), source };
     if !fs::metadata(path).map_err(io)?.is_file() {
         return Err(invalid(path, "is not a file; give a .glb or .gltf file"));

@@ -38,7 +38,16 @@ pub struct Document {
 /// # Errors
 /// [`SceneError`] names the file, the object and the cure.
 pub fn load(path: &Path) -> Result<Scene, SceneError> {
-    let (document, warnings) = container::read(path)?;
+    load_bytes(path, &container::read_file(path)?)
+}
+
+/// Loads the contents of a `.glb` or `.gltf` file. `path` names it in messages, and its folder is where the
+/// files it refers to are read from.
+///
+/// # Errors
+/// As [`load`].
+pub fn load_bytes(path: &Path, bytes: &[u8]) -> Result<Scene, SceneError> {
+    let (document, warnings) = container::read(path, bytes)?;
     let mut reader = Reader::new(&document, warnings);
     extension::check(&mut reader)?;
     let mut tree = node::walk(&mut reader)?;
