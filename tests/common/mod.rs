@@ -1,6 +1,8 @@
 //! What several tests share.
 #![allow(dead_code)]
 
+pub mod agreement;
+pub mod exr_reader;
 pub mod formulas;
 pub mod glb;
 pub mod path_tracer;

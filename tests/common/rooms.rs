@@ -217,6 +217,26 @@ impl Builder {
     }
 }
 
+/// Five coloured walls and a front, a lamp under the ceiling that shines down, a box in the way.
+pub fn cornell(page: u32) -> Scene {
+    let mut b = Builder::new(page);
+    let mut coloured =
+        |r, g, blue| b.material(Material { base_color: Vec4::new(r, g, blue, 1.0), ..Material::default() });
+    let (white, red, green) = (coloured(0.7, 0.7, 0.7), coloured(0.6, 0.1, 0.08), coloured(0.15, 0.5, 0.1));
+    b.room(Vec3::ZERO, Vec3::splat(3.0), white, 8);
+    for (wall, material) in [(0, red), (1, green)] {
+        b.scene.meshes[wall].primitives[0].material = material;
+    }
+    b.solid(Vec3::new(0.75, 0.25, 0.5), Vec3::new(1.75, 1.25, 1.5), white, 4);
+    let lamp = b.material(Material {
+        base_color: Vec4::new(0.2, 0.2, 0.2, 1.0),
+        emission: Vec3::new(12.0, 9.0, 5.0),
+        ..Material::default()
+    });
+    b.quad("lamp", Vec3::new(1.0, 2.5, 1.25), Vec3::X, Vec3::Z, lamp, [4; 2]);
+    b.finish()
+}
+
 /// Options under which texels are plain means on the UVs of the scene.
 pub fn plain(page: u32, target_percent: f64) -> BakeOptions {
     BakeOptions {

@@ -130,6 +130,14 @@ pub fn score(samples: &[f64], expected: f64) -> f64 {
     normal_score(difference / error, samples.len() as f64 - 1.0)
 }
 
+/// Normal score of the difference of two independent means (Welch 1947); `None` where neither has noise.
+pub fn welch_score(a: &[f64], b: &[f64]) -> Option<f64> {
+    let ((mean_a, error_a), (mean_b, error_b)) = (mean_and_error(a), mean_and_error(b));
+    let (va, vb) = (error_a * error_a, error_b * error_b);
+    let nu = (va + vb).powi(2) / (va * va / (a.len() as f64 - 1.0) + vb * vb / (b.len() as f64 - 1.0));
+    (va + vb > 0.0).then(|| normal_score((mean_a - mean_b) / (va + vb).sqrt(), nu))
+}
+
 /// Rejects an `expected` value that the samples' mean contradicts, as one of `tests` such tests.
 pub fn mean_test(samples: &[f64], expected: f64, tests: usize) -> Result<(), String> {
     let z = score(samples, expected);
