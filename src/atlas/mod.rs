@@ -4,9 +4,23 @@
 //! coordinates in texels on a page, and [`Texels`], which says for every texel what surface it covers.
 //! Unwrappers are seen only here.
 
+mod chart;
+pub mod check;
+mod density;
+mod keep;
+mod layout;
+mod pack;
+mod planar;
+mod select;
 mod texels;
+pub mod unwrap;
+mod uvunwrap;
+mod xatlas;
 
+pub use layout::build;
 pub use texels::{Piece, Texel, Texels};
+pub use uvunwrap::{Uvunwrap, silence_unwrapper_panics};
+pub use xatlas::{WORKER_COMMAND, XatlasWorker, worker_main};
 
 use crate::error::Warning;
 use glam::Vec2;
