@@ -16,15 +16,21 @@
 pub mod accel;
 pub mod accuracy;
 pub mod atlas;
+pub mod bake;
 pub mod error;
 pub mod light;
 pub mod lightmap;
+pub mod observer;
 pub mod options;
 pub mod output;
 pub mod photon;
+pub mod report;
 pub mod sampling;
 pub mod scene;
+pub mod solve;
 
+pub use bake::{Bake, bake};
 pub use error::{BakeError, SceneError, Warning};
+pub use observer::{NoObserver, Observer};
 pub use options::BakeOptions;
 pub use scene::Scene;

@@ -1,5 +1,9 @@
 //! 6. The finished maps in memory.
 
+mod gutter;
+
+pub use gutter::fill_gutters;
+
 /// The finished lightmaps, one per atlas page.
 #[derive(Debug, Clone, Default)]
 pub struct Lightmap {
@@ -14,7 +18,8 @@ pub struct LightmapPage {
     pub width: u32,
     /// Height in texels.
     pub height: u32,
-    /// Irradiance E [lux], linear Rec. 709 RGB, as stored: gutters filled, 0 far from any chart.
+    /// Irradiance E [lux], linear Rec. 709 RGB, as stored: texels without coverage filled by
+    /// [`fill_gutters`].
     pub irradiance: Vec<[f32; 3]>,
     /// Half the difference of the two halves, (E_odd - E_even) / 2 [lux]: as noisy as E itself.
     pub half_difference: Vec<[f32; 3]>,
@@ -24,4 +29,53 @@ pub struct LightmapPage {
     pub coverage: Vec<f32>,
     /// Surface area mapped to the texel [m2].
     pub area: Vec<f32>,
+}
+
+use crate::atlas::{Atlas, Texels};
+use crate::options::BakeOptions;
+use crate::output::gutter::fill_gutters;
+use crate::scene::World;
+use crate::solve::Solution;
+
+impl Lightmap {
+    /// The maps of a solution: stored sides on their pages, buried texels and gutters filled from around.
+    pub fn new(world: &World, atlas: &Atlas, texels: &Texels, solution: &Solution, options: &BakeOptions) -> Lightmap {
+        let split = options.double_sided == crate::options::DoubleSided::Split
+            && texels.texels[..texels.mapped].iter().any(|t| t.back);
+        let metres2 = world.frame.metres * world.frame.metres;
+        let mut pages: Vec<LightmapPage> = atlas
+            .pages
+            .iter()
+            .map(|p| {
+                let n = (p.width * p.height) as usize;
+                LightmapPage {
+                    width: p.width,
+                    height: p.height,
+                    irradiance: vec![[0.0; 3]; n],
+                    half_difference: vec![[0.0; 3]; n],
+                    back: if split { vec![[0.0; 3]; n] } else { Vec::new() },
+                    coverage: vec![0.0; n],
+                    area: vec![0.0; n],
+                }
+            })
+            .collect();
+        for (i, t) in texels.texels[..texels.mapped].iter().enumerate() {
+            if !solution.weights.stored[i] {
+                continue;
+            }
+            let (page, x, y) = texels.page_position(i);
+            let page = &mut pages[page];
+            let at = (y * page.width + x) as usize;
+            if split && t.back {
+                page.back[at] = solution.total.mean(i).to_array();
+                continue;
+            }
+            page.irradiance[at] = solution.total.mean(i).to_array();
+            page.half_difference[at] = solution.total.difference(i).to_array();
+            page.coverage[at] = t.coverage;
+            page.area[at] = (f64::from(t.area) * metres2) as f32;
+        }
+        pages.iter_mut().for_each(|p| fill_gutters(p, atlas.gutter));
+        Lightmap { pages }
+    }
 }

@@ -1,5 +1,6 @@
 //! What a bake is asked for.
 
+use crate::error::BakeError;
 use glam::Vec3;
 use std::path::PathBuf;
 
@@ -186,3 +187,54 @@ pub enum Quantity {
     /// E. Unit: lux.
     Irradiance,
 }
+
+impl BakeOptions {
+    /// Checks ranges and contradictions.
+    ///
+    /// # Errors
+    /// [`BakeError::Options`] names the option, its value and what it may be.
+    pub fn validate(&self) -> Result<(), BakeError> {
+        let fail = |what: String| Err(BakeError::Options(what));
+        let percent = |name: &str, v: f64| {
+            if v > 0.0 && v.is_finite() { Ok(()) } else { fail(format!("{name} {v}: must be a number above 0")) }
+        };
+        percent("--target-percent", self.target_percent)?;
+        self.target_mesh_percent.map_or(Ok(()), |v| percent("--target-mesh-percent", v))?;
+        self.time_limit.map_or(Ok(()), |v| percent("--time-limit", v))?;
+        if !(1..=MAX_TEXTURE).contains(&self.max_texture) {
+            return fail(format!("--max-texture {}: must lie in 1 to {MAX_TEXTURE}", self.max_texture));
+        }
+        if !(1..=MAX_PAGES).contains(&self.max_pages) {
+            return fail(format!("--max-pages {}: must lie in 1 to {MAX_PAGES}", self.max_pages));
+        }
+        if self.gutter > 64 || 2 * self.gutter >= self.max_texture.max(2) {
+            return fail(format!("--gutter {}: must be at most 64 and leave room on the page", self.gutter));
+        }
+        if let Density::TexelsPerMetre(d) = self.density
+            && !(d > 0.0 && d.is_finite())
+        {
+            return fail(format!("--density {d}: must be a number of texels per metre above 0"));
+        }
+        if !(self.sky_scale >= 0.0 && self.sky_scale.is_finite() && self.sky_rotation.is_finite()) {
+            return fail("--sky-scale must be 0 or more, --sky-rotation a number".into());
+        }
+        if let Some(SkySource::Constant(l)) = &self.sky
+            && !(l.is_finite() && l.min_element() >= 0.0)
+        {
+            return fail(format!("--sky {},{},{}: radiance must be 0 or more", l.x, l.y, l.z));
+        }
+        if let Some(s) = self.sun {
+            let finite = s.elevation.is_finite() && s.azimuth.is_finite() && s.illuminance.is_finite();
+            if !finite || s.illuminance < 0.0 || !(0.0..=90.0).contains(&s.diameter) {
+                return fail("--sun: illuminance must be 0 or more, the diameter 0 to 90 degrees".into());
+            }
+        }
+        Ok(())
+    }
+}
+
+/// Largest page [texels].
+pub const MAX_TEXTURE: u32 = 16384;
+
+/// Most pages.
+pub const MAX_PAGES: u32 = 256;

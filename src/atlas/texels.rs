@@ -1,11 +1,547 @@
-//! Which surface each texel covers.
+//! Which surface each texel covers, by exact clipping of triangles against the texel grid.
+//!
+//! A texel stands for the whole surface mapped to its square: one [`Piece`] per triangle that meets it, with
+//! the piece's world area. Summed over texels the areas are the surface area, whatever the UVs. A
+//! double-sided surface has a second texel for its back at the same place.
+//!
+//! Reflecting triangles without a place on the map (not baked, or dropped by the unwrapper) get *transport
+//! texels* on a small grid of their own, so that the light they send out is known like that of all others.
 
-/// Placeholder until the rasteriser lands.
+use super::Atlas;
+use crate::scene::{SurfaceFlags, World};
+use glam::{DVec2, Vec2};
+use rayon::prelude::*;
+
+/// Marks a grid cell or triangle without a texel.
+pub const NO_TEXEL: u32 = u32::MAX;
+
+/// The part of a triangle inside a texel.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Piece {
+    /// Triangle id in the [`World`].
+    pub triangle: u32,
+    /// Surface area of the part [frame units squared], > 0.
+    pub area: f32,
+}
+
+/// A texel: the surface it stands for. Texels are ordered by chart and, inside a chart, along a Morton curve.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Texel {
+    /// Index of the grid cell; see [`Texels::page_position`].
+    pub cell: u32,
+    /// First of its pieces in [`Texels::pieces`].
+    pub first_piece: u32,
+    /// Number of its pieces, >= 1.
+    pub piece_count: u32,
+    /// Global chart id, or [`NO_CHART`](super::NO_CHART) for transport texels.
+    pub chart: u32,
+    /// Surface area mapped to it [frame units squared], > 0.
+    pub area: f32,
+    /// Share of its square inside charts, in (0, 1].
+    pub coverage: f32,
+    /// The back of a double-sided surface.
+    pub back: bool,
+}
+
+/// Where a triangle lies on the grid.
+#[derive(Debug, Clone, Copy)]
+struct GridTriangle {
+    /// Corners in cells, relative to the grid's first cell.
+    corners: [Vec2; 3],
+    /// Index of the grid's first cell; `NO_TEXEL` if the triangle has none.
+    base: u32,
+    /// Grid width and height in cells.
+    width: u32,
+    height: u32,
+    /// The cell that holds most of the triangle, for points that rounding puts into an empty cell.
+    home: u32,
+}
+
+/// All texels of a scene, and the way from a point on a triangle to its texel.
 #[derive(Debug, Clone, Default)]
-pub struct Texels {}
-/// Placeholder.
-#[derive(Debug, Clone, Copy, Default)]
-pub struct Texel {}
-/// Placeholder.
-#[derive(Debug, Clone, Copy, Default)]
-pub struct Piece {}
+pub struct Texels {
+    /// Texels on the map first, then transport texels.
+    pub texels: Vec<Texel>,
+    /// Pieces of all texels.
+    pub pieces: Vec<Piece>,
+    /// How many of `texels` are on the map.
+    pub mapped: usize,
+    triangles: Vec<GridTriangle>,
+    front: Vec<u32>,
+    back: Vec<u32>,
+    page_base: Vec<u32>,
+    page_width: Vec<u32>,
+}
+
+/// A piece found by the rasteriser.
+#[derive(Clone, Copy)]
+struct Fragment {
+    cell: u32,
+    triangle: u32,
+    area: f32,
+    coverage: f32,
+}
+
+/// Cells per transport triangle at most; larger ones get coarser cells.
+const MAX_TRANSPORT_CELLS: f64 = 4096.0;
+
+impl Texels {
+    /// Clips every triangle of `world` against the grid of `atlas`.
+    pub fn new(world: &World, atlas: &Atlas) -> Texels {
+        let mut out = Texels::default();
+        let mut cells = 0u32;
+        for page in &atlas.pages {
+            out.page_base.push(cells);
+            out.page_width.push(page.width);
+            cells += page.width * page.height;
+        }
+        let mapped_cells = cells;
+        out.triangles = place_triangles(world, atlas, &out.page_base, &mut cells);
+
+        let chunks: Vec<Vec<Fragment>> = (0..world.len())
+            .into_par_iter()
+            .chunks(1024)
+            .map(|ids| {
+                let mut fragments = Vec::new();
+                for id in ids {
+                    rasterise(world, id as u32, &out.triangles[id], &mut fragments);
+                }
+                fragments
+            })
+            .collect();
+        let fragments = group_by_cell(&chunks, cells as usize);
+        drop(chunks);
+        out.home_cells(&fragments);
+
+        let double_sided = |f: &Fragment| world.flags[f.triangle as usize].has(SurfaceFlags::DOUBLE_SIDED);
+        let any_double = fragments.par_iter().any(double_sided);
+        out.collect(world, atlas, &fragments, mapped_cells, cells as usize, any_double);
+        out
+    }
+
+    /// Texel under a point of a triangle, on its front or back; `None` where the triangle has none.
+    pub fn at(&self, triangle: u32, back: bool, uv: Vec2) -> Option<u32> {
+        let t = &self.triangles[triangle as usize];
+        if t.base == NO_TEXEL {
+            return None;
+        }
+        let table = if back { &self.back } else { &self.front };
+        if table.is_empty() {
+            return None;
+        }
+        let p = t.corners[0] * (1.0 - uv.x - uv.y) + t.corners[1] * uv.x + t.corners[2] * uv.y;
+        let x = (p.x.max(0.0) as u32).min(t.width - 1);
+        let y = (p.y.max(0.0) as u32).min(t.height - 1);
+        let id = table[(t.base + y * t.width + x) as usize];
+        let id = if id == NO_TEXEL { table[t.home as usize] } else { id };
+        (id != NO_TEXEL).then_some(id)
+    }
+
+    /// Page, column and row of a texel on the map.
+    pub fn page_position(&self, texel: usize) -> (usize, u32, u32) {
+        let cell = self.texels[texel].cell;
+        let page = self.page_base.partition_point(|&b| b <= cell) - 1;
+        let local = cell - self.page_base[page];
+        (page, local % self.page_width[page], local / self.page_width[page])
+    }
+
+    /// The pieces of a texel.
+    pub fn pieces_of(&self, texel: usize) -> &[Piece] {
+        let t = &self.texels[texel];
+        &self.pieces[t.first_piece as usize..(t.first_piece + t.piece_count) as usize]
+    }
+
+    /// Bytes held.
+    pub fn memory_bytes(&self) -> usize {
+        use std::mem::size_of_val;
+        size_of_val(&*self.texels)
+            + size_of_val(&*self.pieces)
+            + size_of_val(&*self.triangles)
+            + size_of_val(&*self.front)
+            + size_of_val(&*self.back)
+    }
+
+    fn home_cells(&mut self, fragments: &[Fragment]) {
+        let mut best = vec![0f32; self.triangles.len()];
+        for f in fragments {
+            let t = f.triangle as usize;
+            if f.area > best[t] {
+                best[t] = f.area;
+                self.triangles[t].home = f.cell;
+            }
+        }
+        for t in &mut self.triangles {
+            if t.home == NO_TEXEL {
+                t.base = NO_TEXEL;
+            }
+        }
+    }
+
+    fn collect(
+        &mut self,
+        world: &World,
+        atlas: &Atlas,
+        fragments: &[Fragment],
+        mapped_cells: u32,
+        cells: usize,
+        any_double: bool,
+    ) {
+        // (sort key, cell, range of fragments) of every covered cell.
+        let mut order: Vec<(u64, u32, u32, u32)> = Vec::new();
+        let mut start = 0;
+        while start < fragments.len() {
+            let cell = fragments[start].cell;
+            let mut end = start + 1;
+            while end < fragments.len() && fragments[end].cell == cell {
+                end += 1;
+            }
+            order.push((0, cell, start as u32, end as u32));
+            start = end;
+        }
+        let charts: Vec<u32> = world
+            .refs
+            .par_iter()
+            .map(|&r| atlas.texel_coordinates(world.scene, r).map_or(super::NO_CHART, |(_, _, chart)| chart))
+            .collect();
+        let chart_of = |from: u32, to: u32| {
+            fragments[from as usize..to as usize]
+                .iter()
+                .map(|f| charts[f.triangle as usize])
+                .min()
+                .unwrap_or(super::NO_CHART)
+        };
+        order.par_iter_mut().for_each(|(key, cell, from, to)| {
+            *key = if *cell < mapped_cells {
+                let page = self.page_base.partition_point(|&b| b <= *cell) - 1;
+                let local = *cell - self.page_base[page];
+                let (x, y) = (local % self.page_width[page], local / self.page_width[page]);
+                // 16 bits a side are interleaved into 32; page order is implied by the chart's.
+                u64::from(chart_of(*from, *to)) << 32 | u64::from(morton(x, y))
+            } else {
+                1 << 63 | u64::from(*cell)
+            };
+        });
+        order.par_sort_unstable();
+        self.front = vec![NO_TEXEL; cells];
+        if any_double {
+            self.back = vec![NO_TEXEL; cells];
+        }
+        for &(key, cell, from, to) in &order {
+            let mapped = key >> 63 == 0;
+            let chart = if mapped { chart_of(from, to) } else { super::NO_CHART };
+            let range = &fragments[from as usize..to as usize];
+            self.front[cell as usize] = self.push(cell, chart, range.iter(), false);
+            if any_double {
+                let sided = range.iter().filter(|f| world.flags[f.triangle as usize].has(SurfaceFlags::DOUBLE_SIDED));
+                if sided.clone().next().is_some() {
+                    self.back[cell as usize] = self.push(cell, chart, sided, true);
+                }
+            }
+            if mapped {
+                self.mapped = self.texels.len();
+            }
+        }
+    }
+
+    fn push<'f>(&mut self, cell: u32, chart: u32, fragments: impl Iterator<Item = &'f Fragment>, back: bool) -> u32 {
+        let first_piece = self.pieces.len() as u32;
+        let (mut area, mut coverage) = (0f64, 0f64);
+        for f in fragments {
+            area += f64::from(f.area);
+            coverage += f64::from(f.coverage);
+            self.pieces.push(Piece { triangle: f.triangle, area: f.area });
+        }
+        self.texels.push(Texel {
+            cell,
+            first_piece,
+            piece_count: self.pieces.len() as u32 - first_piece,
+            chart,
+            area: area as f32,
+            coverage: coverage.min(1.0) as f32,
+            back,
+        });
+        self.texels.len() as u32 - 1
+    }
+}
+
+/// Grid placement of every triangle; transport triangles get grids after the pages', counted into `cells`.
+fn place_triangles(world: &World, atlas: &Atlas, page_base: &[u32], cells: &mut u32) -> Vec<GridTriangle> {
+    let none = GridTriangle { corners: [Vec2::ZERO; 3], base: NO_TEXEL, width: 0, height: 0, home: NO_TEXEL };
+    // Transport texels are twice as long as the map's: they only steer where light starts.
+    let density = (atlas.texels_per_metre * world.frame.metres * 0.5).max(1.0);
+    (0..world.len())
+        .map(|id| {
+            let flags = world.flags[id];
+            if flags.has(SurfaceFlags::DEGENERATE) {
+                return none;
+            }
+            if let Some((page, corners, _)) = atlas.texel_coordinates(world.scene, world.refs[id]) {
+                let p = atlas.pages[page as usize];
+                return GridTriangle {
+                    corners,
+                    base: page_base[page as usize],
+                    width: p.width,
+                    height: p.height,
+                    home: NO_TEXEL,
+                };
+            }
+            if flags.has(SurfaceFlags::UNLIT) {
+                return none;
+            }
+            // Isometric: first corner at the origin, second on the x axis.
+            let [a, b, c] = world.positions[id].map(|p| p.as_dvec3());
+            let (e1, e2) = (b - a, c - a);
+            let length = e1.length();
+            let x = e1.dot(e2) / length;
+            let y = (e2.length_squared() - x * x).max(0.0).sqrt();
+            let shift = (-x).max(0.0);
+            let (w, h) = (length.max(x) + shift, y);
+            let scale =
+                density.min((MAX_TRANSPORT_CELLS / (w * h).max(1e-30)).sqrt()).min(MAX_TRANSPORT_CELLS / w.max(h));
+            let (width, height) = ((w * scale).ceil().max(1.0) as u32, (h * scale).ceil().max(1.0) as u32);
+            let at = |x: f64, y: f64| (DVec2::new(x + shift, y) * scale).as_vec2();
+            let base = *cells;
+            *cells += width * height;
+            GridTriangle { corners: [at(0.0, 0.0), at(length, 0.0), at(x, y)], base, width, height, home: NO_TEXEL }
+        })
+        .collect()
+}
+
+/// Appends the pieces of a triangle.
+fn rasterise(world: &World, triangle: u32, grid: &GridTriangle, out: &mut Vec<Fragment>) {
+    if grid.base == NO_TEXEL {
+        return;
+    }
+    let q = grid.corners.map(|c| c.as_dvec2());
+    let area = world.area(triangle);
+    let first = out.len();
+    let lo = q[0].min(q[1]).min(q[2]).floor().max(DVec2::ZERO);
+    let hi = q[0].max(q[1]).max(q[2]).ceil();
+    let (x1, y1) = (hi.x.min(f64::from(grid.width)) as u32, hi.y.min(f64::from(grid.height)) as u32);
+    let mut total = 0.0;
+    for y in lo.y as u32..y1 {
+        let row = clip(&clip(&Polygon::triangle(q), 1, f64::from(y), 1.0), 1, f64::from(y + 1), -1.0);
+        let Some((left, right)) = row.extent_x() else { continue };
+        for x in left.floor().max(lo.x) as u32..(right.ceil() as u32).min(x1) {
+            let share = clip_columns(&row, x).area();
+            if share > 1e-9 {
+                total += share;
+                let cell = grid.base + y * grid.width + x;
+                out.push(Fragment { cell, triangle, area: share as f32, coverage: share as f32 });
+            }
+        }
+    }
+    if total > 0.0 {
+        let scale = area / total;
+        out[first..].iter_mut().for_each(|f| f.area = (f64::from(f.area) * scale) as f32);
+        out.retain_from(first, |f| f.area > 0.0);
+    }
+    if out.len() == first && area > 0.0 {
+        // Thinner than rounding: all of it goes to the cell of its centre.
+        let c = (q[0] + q[1] + q[2]) / 3.0;
+        let x = (c.x.max(0.0) as u32).min(grid.width - 1);
+        let y = (c.y.max(0.0) as u32).min(grid.height - 1);
+        let cell = grid.base + y * grid.width + x;
+        out.push(Fragment { cell, triangle, area: (area as f32).max(f32::MIN_POSITIVE), coverage: 1e-6 });
+    }
+}
+
+trait RetainFrom<T> {
+    fn retain_from(&mut self, first: usize, keep: impl Fn(&T) -> bool);
+}
+
+impl<T: Copy> RetainFrom<T> for Vec<T> {
+    /// Drops elements from index `first` on that `keep` refuses.
+    fn retain_from(&mut self, first: usize, keep: impl Fn(&T) -> bool) {
+        let mut write = first;
+        for read in first..self.len() {
+            if keep(&self[read]) {
+                self[write] = self[read];
+                write += 1;
+            }
+        }
+        self.truncate(write);
+    }
+}
+
+/// All fragments, ordered by cell and inside a cell by triangle (a counting sort of already ordered chunks).
+fn group_by_cell(chunks: &[Vec<Fragment>], cells: usize) -> Vec<Fragment> {
+    let mut start = vec![0u32; cells + 1];
+    chunks.iter().flatten().for_each(|f| start[f.cell as usize + 1] += 1);
+    for i in 0..cells {
+        start[i + 1] += start[i];
+    }
+    let total = start[cells] as usize;
+    let mut out = vec![Fragment { cell: 0, triangle: 0, area: 0.0, coverage: 0.0 }; total];
+    for f in chunks.iter().flatten() {
+        let at = &mut start[f.cell as usize];
+        out[*at as usize] = *f;
+        *at += 1;
+    }
+    out
+}
+
+/// A convex polygon of at most 9 corners: a triangle cut by four lines has 7.
+#[derive(Clone, Copy)]
+pub(super) struct Polygon {
+    points: [DVec2; 9],
+    len: usize,
+}
+
+impl Polygon {
+    fn triangle(q: [DVec2; 3]) -> Polygon {
+        let mut points = [DVec2::ZERO; 9];
+        points[..3].copy_from_slice(&q);
+        Polygon { points, len: 3 }
+    }
+
+    pub(super) fn points(&self) -> &[DVec2] {
+        &self.points[..self.len]
+    }
+
+    fn area(&self) -> f64 {
+        let p = self.points();
+        (2..p.len()).map(|i| (p[i - 1] - p[0]).perp_dot(p[i] - p[0])).sum::<f64>().abs() * 0.5
+    }
+
+    fn extent_x(&self) -> Option<(f64, f64)> {
+        let first = self.points().first()?.x;
+        Some(self.points().iter().fold((first, first), |(a, b), p| (a.min(p.x), b.max(p.x))))
+    }
+}
+
+/// The part of `p` where `side * (coordinate - line) >= 0` (Sutherland and Hodgman 1974).
+fn clip(p: &Polygon, axis: usize, line: f64, side: f64) -> Polygon {
+    let mut out = Polygon { points: [DVec2::ZERO; 9], len: 0 };
+    for i in 0..p.len {
+        let (a, b) = (p.points[i], p.points[(i + 1) % p.len]);
+        let (da, db) = (side * (a[axis] - line), side * (b[axis] - line));
+        if da >= 0.0 {
+            out.points[out.len] = a;
+            out.len += 1;
+        }
+        if (da >= 0.0) != (db >= 0.0) {
+            let mut cut = a + (b - a) * (da / (da - db));
+            cut[axis] = line;
+            out.points[out.len] = cut;
+            out.len += 1;
+        }
+    }
+    out
+}
+
+fn clip_columns(row: &Polygon, x: u32) -> Polygon {
+    clip(&clip(row, 0, f64::from(x), 1.0), 0, f64::from(x + 1), -1.0)
+}
+
+fn morton(x: u32, y: u32) -> u32 {
+    let spread = |v: u32| {
+        let mut v = v & 0xffff;
+        v = (v | v << 8) & 0x00ff_00ff;
+        v = (v | v << 4) & 0x0f0f_0f0f;
+        v = (v | v << 2) & 0x3333_3333;
+        (v | v << 1) & 0x5555_5555
+    };
+    spread(x) | spread(y) << 1
+}
+
+/// Draws points of one texel, uniform in surface area.
+#[derive(Debug, Clone, Default)]
+pub struct TexelSampler {
+    fans: Vec<Fan>,
+    square: Option<Fan>,
+}
+
+/// A triangle of barycentric coordinates, or a parallelogram where it stands for a whole cell.
+#[derive(Debug, Clone, Copy)]
+struct Fan {
+    triangle: u32,
+    corner: Vec2,
+    edges: [Vec2; 2],
+    /// Share of the texel's area up to and including this one.
+    cumulative: f32,
+}
+
+impl TexelSampler {
+    /// Prepares to draw from a texel.
+    pub fn load(&mut self, texels: &Texels, texel: usize) {
+        self.fans.clear();
+        self.square = None;
+        let t = &texels.texels[texel];
+        let total: f64 = texels.pieces_of(texel).iter().map(|p| f64::from(p.area)).sum();
+        let mut cumulative = 0.0f64;
+        for piece in texels.pieces_of(texel) {
+            let grid = &texels.triangles[piece.triangle as usize];
+            let local = t.cell - grid.base;
+            let (x, y) = (local % grid.width, local / grid.width);
+            let q = grid.corners.map(|c| c.as_dvec2());
+            let det = (q[1] - q[0]).perp_dot(q[2] - q[0]);
+            let barycentric = |p: DVec2| {
+                let d = p - q[0];
+                DVec2::new(d.perp_dot(q[2] - q[0]) / det, (q[1] - q[0]).perp_dot(d) / det)
+            };
+            let row = clip(&clip(&Polygon::triangle(q), 1, f64::from(y), 1.0), 1, f64::from(y + 1), -1.0);
+            let cell = clip_columns(&row, x);
+            let area = cell.area();
+            if area <= 1e-9 || det == 0.0 {
+                // A piece thinner than rounding: its triangle's centre stands for it.
+                cumulative += f64::from(piece.area) / total;
+                let corner = Vec2::splat(1.0 / 3.0);
+                self.fans.push(Fan {
+                    triangle: piece.triangle,
+                    corner,
+                    edges: [Vec2::ZERO; 2],
+                    cumulative: cumulative as f32,
+                });
+                continue;
+            }
+            if area > 1.0 - 1e-9 && t.piece_count == 1 {
+                let p = DVec2::new(f64::from(x), f64::from(y));
+                let corner = barycentric(p);
+                let edges = [barycentric(p + DVec2::X) - corner, barycentric(p + DVec2::Y) - corner];
+                self.square = Some(Fan {
+                    triangle: piece.triangle,
+                    corner: corner.as_vec2(),
+                    edges: edges.map(|e| e.as_vec2()),
+                    cumulative: 1.0,
+                });
+                return;
+            }
+            let points = cell.points();
+            for i in 2..points.len() {
+                let share = 0.5 * (points[i - 1] - points[0]).perp_dot(points[i] - points[0]).abs() / area;
+                cumulative += share * f64::from(piece.area) / total;
+                let corner = barycentric(points[0]);
+                let edges = [barycentric(points[i - 1]) - corner, barycentric(points[i]) - corner];
+                self.fans.push(Fan {
+                    triangle: piece.triangle,
+                    corner: corner.as_vec2(),
+                    edges: edges.map(|e| e.as_vec2()),
+                    cumulative: cumulative as f32,
+                });
+            }
+        }
+    }
+
+    /// Triangle and barycentric weights of the point at `u` of the unit square. [`load`](Self::load) must
+    /// have been called.
+    pub fn sample(&self, u: Vec2) -> (u32, Vec2) {
+        if let Some(s) = &self.square {
+            return (s.triangle, inside(s.corner + s.edges[0] * u.x + s.edges[1] * u.y));
+        }
+        let last = self.fans.len() - 1;
+        let i = self.fans.partition_point(|f| f.cumulative <= u.x).min(last);
+        let below = if i == 0 { 0.0 } else { self.fans[i - 1].cumulative };
+        let f = &self.fans[i];
+        let x = ((u.x - below) / (f.cumulative - below).max(1e-20)).clamp(0.0, 1.0);
+        let w = crate::sampling::uniform_triangle(Vec2::new(x, u.y));
+        (f.triangle, inside(f.corner + f.edges[0] * w.x + f.edges[1] * w.y))
+    }
+}
+
+/// Weights pushed back into the triangle where rounding put them outside.
+fn inside(w: Vec2) -> Vec2 {
+    let w = w.clamp(Vec2::ZERO, Vec2::ONE);
+    let sum = w.x + w.y;
+    if sum > 1.0 { w / sum } else { w }
+}

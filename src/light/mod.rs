@@ -1,1 +1,24 @@
-//! To be written.
+//! 4. Direct light: what reaches a point straight from an emitter.
+//!
+//! In: a [`World`](crate::scene::World) and its [`Accel`](crate::accel::Accel). Out: for every texel the
+//! irradiance E [lux] of direct light in two independent halves, and the points that photons start from.
+//! Punctual lights, emissive triangles, suns and the sky are sampled at points spread over the texel's
+//! surface; shadow rays pass MASK, BLEND and transmissive surfaces with their exact transmittance.
+
+mod emitters;
+mod gather;
+mod lighting;
+mod open;
+mod receiver;
+mod sky;
+mod spherical;
+mod tree;
+mod visibility;
+
+pub use emitters::{Emitters, LightSettings, PUNCTUAL_LOOP_LIMIT};
+pub use gather::{Direct, START_SLOTS, StartSlot};
+pub use lighting::Lighting;
+pub use open::open_shares;
+pub use receiver::Receiver;
+pub use sky::SkySampler;
+pub use visibility::Visibility;

@@ -5,8 +5,11 @@
 
 mod files;
 pub mod glb;
+pub mod gutter;
 pub mod lightmap_exr;
 pub mod manifest;
 pub mod preview;
+mod rects;
 
 pub use files::write_atomically;
+pub use rects::{NodeRect, node_rects};

@@ -60,6 +60,11 @@ impl Texture {
         self.image.get_or_init(|| decode(&self.encoded)).as_ref()
     }
 
+    /// Why the image could not be decoded, if it was looked at.
+    pub fn known_decode_error(&self) -> Option<&str> {
+        self.image.get()?.as_ref().err().map(String::as_str)
+    }
+
     /// Decodes now; the reason where that fails.
     pub fn decode_error(&self) -> Option<String> {
         self.image().err().cloned()

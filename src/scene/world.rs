@@ -169,6 +169,12 @@ impl<'s> World<'s> {
         0.5 * (d[1] - d[0]).cross(d[2] - d[0]).length()
     }
 
+    /// Largest side of a triangle's bounding box [frame units].
+    pub fn extent(&self, triangle: u32) -> f32 {
+        let [a, b, c] = self.positions[triangle as usize];
+        (a.max(b).max(c) - a.min(b).min(c)).max_element()
+    }
+
     /// Position at barycentric weights `uv` of the second and third corner.
     pub fn position(&self, triangle: u32, uv: Vec2) -> Vec3 {
         let [a, b, c] = self.positions[triangle as usize];

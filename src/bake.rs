@@ -1,0 +1,208 @@
+//! The pipeline on one page.
+
+use crate::accel::Accel;
+use crate::accuracy::{TexelWeights, mesh_errors};
+use crate::atlas::{self, Atlas, Texels};
+use crate::error::{BakeError, Warning};
+use crate::light::{Emitters, LightSettings, Lighting, Visibility, open_shares};
+use crate::lightmap::Lightmap;
+use crate::observer::{Observer, Stage};
+use crate::options::{BakeOptions, Lights, TexelValue};
+use crate::report::{AtlasSummary, Energy, Report, Seconds, Split, Work};
+use crate::scene::{Scene, SurfaceFlags, World};
+use crate::solve::{LightPath, Solution, solve};
+use std::time::Instant;
+
+/// A finished bake.
+#[derive(Debug)]
+pub struct Bake<'s> {
+    /// Where the charts are.
+    pub atlas: Atlas,
+    /// The maps.
+    pub lightmap: Lightmap,
+    /// What was reached and how.
+    pub report: Report,
+    /// The lights that were baked.
+    pub lighting: Lighting,
+    /// World triangles.
+    pub world: World<'s>,
+    /// What rays meet.
+    pub accel: Accel,
+    /// What each texel covers.
+    pub texels: Texels,
+    /// Irradiance of each texel in two halves.
+    pub solution: Solution,
+}
+
+/// Bakes `scene`: unwraps, traces until the target is met or a limit binds, and makes the maps. Reads no files
+/// but a sky image named in the options, writes and prints nothing. The result depends on the scene, the
+/// options and the seed alone; on time only where a time limit binds.
+///
+/// # Errors
+/// [`BakeError`] names the object and the cure.
+pub fn bake<'s>(
+    scene: &'s Scene,
+    options: &BakeOptions,
+    observer: &mut (dyn Observer + Send),
+) -> Result<Bake<'s>, BakeError> {
+    options.validate()?;
+    let pool = rayon::ThreadPoolBuilder::new()
+        .num_threads(options.threads)
+        .build()
+        .map_err(|e| BakeError::Options(format!("cannot start {} threads: {e}", options.threads)))?;
+    pool.install(|| bake_here(scene, options, observer))
+}
+
+fn bake_here<'s>(
+    scene: &'s Scene,
+    options: &BakeOptions,
+    observer: &mut (dyn Observer + Send),
+) -> Result<Bake<'s>, BakeError> {
+    let mut clock = Clock::new();
+    let mut seconds = Seconds::default();
+    let lighting = Lighting::new(scene, options)?;
+
+    observer.stage(Stage::Unwrap);
+    let atlas = atlas::build(scene, options)?;
+    seconds.atlas = clock.lap();
+
+    observer.stage(Stage::Prepare);
+    let world = World::new(scene);
+    atlas::check_memory(&world, &atlas, options.memory_limit)?;
+    let texels = Texels::new(&world, &atlas);
+    seconds.texels = clock.lap();
+    let accel = Accel::build(&world.positions, |t| world.flags[t as usize].has(SurfaceFlags::DEGENERATE));
+    seconds.accel = clock.lap();
+    let visibility = Visibility::new(&world, &accel);
+    let emitters =
+        Emitters::new(&world, &lighting, LightSettings { indirect_only: options.lights == Lights::Indirect });
+    let (open, probe_rays) = match options.texel_value {
+        TexelValue::Mean => (vec![1.0; texels.mapped], 0),
+        TexelValue::Fit => open_shares(&texels, &visibility, options.seed),
+    };
+    seconds.open = clock.lap();
+
+    observer.stage(Stage::Light);
+    let path = LightPath { texels: &texels, open: &open, emitters: &emitters, visibility: &visibility };
+    let weights = TexelWeights::new(&world, &texels, &open);
+    let solution = solve(path, weights, options, clock.began, observer)?;
+    [seconds.direct, seconds.photons, seconds.estimate] = solution.seconds;
+    clock.lap();
+
+    observer.stage(Stage::Finish);
+    let lightmap = Lightmap::new(&world, &atlas, &texels, &solution, options);
+    let mut report = report(&world, &atlas, &texels, &open, &solution, &lighting, options);
+    (report.work.emissive_triangles, report.work.lights) = emitters.counts();
+    report.work.probe_rays = probe_rays;
+    if emitters.is_empty() {
+        report.warnings.push(Warning::new(
+            "no-light",
+            "nothing in the scene emits: the maps are black; add a light, an emissive material, --sky or --sun",
+        ));
+    }
+    seconds.finish = clock.lap();
+    seconds.total = clock.began.elapsed().as_secs_f64();
+    report.seconds = seconds;
+    report.warnings.iter().for_each(|w| observer.warn(w));
+    Ok(Bake { atlas, lightmap, report, lighting, world, accel, texels, solution })
+}
+
+fn report(
+    world: &World,
+    atlas: &Atlas,
+    texels: &Texels,
+    open: &[f32],
+    solution: &Solution,
+    lighting: &Lighting,
+    options: &BakeOptions,
+) -> Report {
+    let scene = world.scene;
+    let metres2 = world.frame.metres * world.frame.metres;
+    let (meshes, area_within_target) =
+        mesh_errors(world, &solution.total, &solution.weights, solution.error.mean, options.target_percent);
+    let target_mesh_percent = options.target_mesh_percent.unwrap_or(3.0 * options.target_percent);
+    let area = |share: &dyn Fn(usize) -> f64| {
+        (0..texels.mapped).map(|i| f64::from(texels.texels[i].area) * share(i)).sum::<f64>() * metres2
+    };
+    let mut warnings = scene.warnings.clone();
+    warnings.extend(atlas.warnings.iter().cloned());
+    warnings.extend(lighting.warnings.iter().cloned());
+    warnings.extend(texture_warnings(scene));
+    let mut report = Report {
+        evenlight: env!("CARGO_PKG_VERSION"),
+        scene: scene.name.clone(),
+        seed: options.seed,
+        quantity: options.quantity,
+        target_percent: options.target_percent,
+        target_mesh_percent,
+        target_met: solution.limit.is_none(),
+        limit: solution.limit,
+        sigma: 0.0,
+        sigma_paper: 0.0,
+        cell_bias: 0.0,
+        texel_error_percent: 0.0,
+        texel_error_interval: [0.0; 2],
+        luminance_error_percent: 0.0,
+        texel_grid_error: None,
+        shown_error_percent: None,
+        area_within_target,
+        mesh_error_percent_95: solution.mesh_percent,
+        outlier_share: 0.0,
+        split: Split { direct: solution.direct_error.percent, indirect: solution.indirect_error.percent },
+        mean_irradiance: 0.0,
+        meshes,
+        history: solution.history.clone(),
+        work: Work {
+            direct_samples: solution.direct_samples,
+            direct_rays: solution.direct_rays,
+            photons: solution.history.last().map_or(0, |h| h.photons),
+            photon_rays: solution.ledger.rays,
+            deposits: solution.ledger.deposits,
+            ..Work::default()
+        },
+        energy: Energy::new(&solution.ledger, solution.unit * metres2),
+        atlas: AtlasSummary {
+            pages: atlas.pages.len(),
+            charts: atlas.first_chart.last().copied().unwrap_or(0),
+            texels: texels.texels[..texels.mapped].iter().filter(|t| !t.back).count(),
+            transport_texels: texels.texels.len() - texels.mapped,
+            utilization: texels.texels[..texels.mapped].iter().filter(|t| !t.back).count() as f64
+                / atlas.pages.iter().map(|p| f64::from(p.width) * f64::from(p.height)).sum::<f64>().max(1.0),
+            texels_per_metre: atlas.texels_per_metre,
+            area: area(&|i| f64::from(u8::from(!texels.texels[i].back))),
+            buried_area: area(&|i| if texels.texels[i].back { 0.0 } else { 1.0 - f64::from(open[i]) }),
+            triangles: world.len(),
+        },
+        skips: Vec::new(),
+        warnings,
+        seconds: Seconds::default(),
+    };
+    report.set_texel_error(&solution.error);
+    report
+}
+
+/// Images that turned out not to be decodable when they were looked at.
+fn texture_warnings(scene: &Scene) -> impl Iterator<Item = Warning> + '_ {
+    scene.textures.iter().filter_map(|t| {
+        let why = t.known_decode_error()?;
+        Some(Warning::new("image-not-decoded", format!("image {}: {why}; taken as white", t.name)))
+    })
+}
+
+/// Seconds between laps.
+struct Clock {
+    began: Instant,
+    lap: Instant,
+}
+
+impl Clock {
+    fn new() -> Clock {
+        Clock { began: Instant::now(), lap: Instant::now() }
+    }
+
+    fn lap(&mut self) -> f64 {
+        let s = self.lap.elapsed().as_secs_f64();
+        self.lap = Instant::now();
+        s
+    }
+}

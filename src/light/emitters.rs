@@ -1,0 +1,401 @@
+//! All emitters of a scene, and one sample of their light at a point.
+
+use super::lighting::Lighting;
+use super::receiver::Receiver;
+use super::sky::SkySampler;
+use super::spherical::{sample_spherical_triangle, solid_angle};
+use super::tree::{LightBounds, LightTree};
+use super::visibility::Visibility;
+use crate::accel::{self, Ray};
+use crate::sampling::{cosine_hemisphere, uniform_cone, uniform_triangle};
+use crate::scene::{BakeMode, Light, LightKind, SurfaceFlags, World};
+use glam::{Vec2, Vec3};
+
+/// Up to this many point and spot lights each get a shadow ray of their own per sample; more go into the
+/// light tree.
+pub const PUNCTUAL_LOOP_LIMIT: usize = 16;
+
+/// Solid angle [sr] above which a triangle is sampled by solid angle rather than by area: nearer ones would
+/// have the spikes of 1 / distance^2.
+const NEAR_SOLID_ANGLE: f64 = 0.02;
+
+/// What to make of the lights.
+#[derive(Debug, Clone, Copy, Default)]
+pub struct LightSettings {
+    /// Punctual lights are stored by their reflected light only.
+    pub indirect_only: bool,
+}
+
+/// A light without area, in the frame.
+#[derive(Debug, Clone, Copy)]
+struct Punctual {
+    position: Vec3,
+    direction: Vec3,
+    /// Candela over metres^2 of the frame unit: E = intensity cos / distance^2 in frame units. Lux for
+    /// directional lights.
+    intensity: Vec3,
+    shape: Shape,
+    stored: bool,
+}
+
+#[derive(Debug, Clone, Copy)]
+enum Shape {
+    Point,
+    /// Spot falloff ((cos - cos_outer) * scale)^2, clamped.
+    Spot {
+        cos_outer: f32,
+        scale: f32,
+    },
+    /// Cosine of half the angular diameter; 1 for parallel light.
+    Directional {
+        cos_radius: f32,
+    },
+}
+
+/// One entry of the light tree.
+#[derive(Debug, Clone, Copy)]
+enum TreeLight {
+    Triangle { id: u32, both_sides: bool },
+    Punctual(u32),
+}
+
+/// Direct irradiance [lux] that one sample finds.
+#[derive(Debug, Clone, Copy, Default)]
+pub struct DirectSample {
+    /// On the shading normal, of the lights whose direct light is stored.
+    pub stored: Vec3,
+    /// On the geometric normal, of all lights: what is reflected.
+    pub transported: Vec3,
+}
+
+impl DirectSample {
+    fn add(&mut self, light: Vec3, cosines: (f32, f32), stored: bool) {
+        self.transported += light * cosines.0;
+        if stored {
+            self.stored += light * cosines.1;
+        }
+    }
+}
+
+/// Dimensions of the unit cube that one sample uses, besides the two for the place on the texel.
+pub const SAMPLE_DIMENSIONS: usize = 9;
+
+/// All emitters of a scene.
+#[derive(Debug)]
+pub struct Emitters {
+    /// Directional lights, and point and spot lights if they are few.
+    looped: Vec<Punctual>,
+    /// Point and spot lights of the tree.
+    punctual: Vec<Punctual>,
+    tree: LightTree,
+    tree_lights: Vec<TreeLight>,
+    sky: Option<SkySampler>,
+}
+
+impl Emitters {
+    /// Gathers what emits: surfaces of `world`, and `lighting`, leaving out what is black or switched off.
+    pub fn new(world: &World, lighting: &Lighting, settings: LightSettings) -> Emitters {
+        let mut looped = Vec::new();
+        let mut punctual = Vec::new();
+        for light in lighting.lights.iter().filter(|l| l.bake != BakeMode::Off && l.intensity.max_element() > 0.0) {
+            let p = to_frame(light, world, settings);
+            if matches!(p.shape, Shape::Directional { .. }) { looped.push(p) } else { punctual.push(p) }
+        }
+        if punctual.len() <= PUNCTUAL_LOOP_LIMIT {
+            looped.append(&mut punctual);
+        }
+        let (mut bounds, mut tree_lights) = (Vec::new(), Vec::new());
+        for id in 0..world.len() as u32 {
+            if let Some(b) = triangle_bounds(world, id) {
+                bounds.push(b);
+                tree_lights.push(TreeLight::Triangle { id, both_sides: b.two_sided });
+            }
+        }
+        for (i, p) in punctual.iter().enumerate() {
+            bounds.push(LightBounds {
+                lo: p.position,
+                hi: p.position,
+                power: p.intensity.element_sum(),
+                axis: Vec3::Y,
+                cos_spread: -1.0,
+                two_sided: false,
+                all_around: true,
+            });
+            tree_lights.push(TreeLight::Punctual(i as u32));
+        }
+        let sky = lighting.sky.as_ref().and_then(SkySampler::new);
+        Emitters { looped, punctual, tree: LightTree::new(&bounds), tree_lights, sky }
+    }
+
+    /// True where nothing emits.
+    pub fn is_empty(&self) -> bool {
+        self.looped.is_empty() && self.tree_lights.is_empty() && self.sky.is_none()
+    }
+
+    /// Number of emissive triangles and of lights without area.
+    pub fn counts(&self) -> (usize, usize) {
+        let triangles = self.tree_lights.iter().filter(|l| matches!(l, TreeLight::Triangle { .. })).count();
+        (triangles, self.looped.len() + self.punctual.len())
+    }
+
+    /// The sky, if it shines.
+    pub fn sky(&self) -> Option<&SkySampler> {
+        self.sky.as_ref()
+    }
+
+    /// One unbiased sample of the direct irradiance at `at`. `u(d)` gives coordinate `d` of a point of the
+    /// unit cube, d < [`SAMPLE_DIMENSIONS`]. Rays traced are added to `rays`.
+    pub fn sample(
+        &self,
+        at: &Receiver,
+        visibility: &Visibility,
+        u: impl Fn(usize) -> f32,
+        rays: &mut u64,
+    ) -> DirectSample {
+        let mut out = DirectSample::default();
+        for light in &self.looped {
+            self.add_punctual(light, 1.0, at, visibility, || Vec2::new(u(7), u(8)), &mut out, rays);
+        }
+        if let Some((i, probability)) = self.tree.pick(at.origin, at.geometric_normal, u(0)) {
+            match self.tree_lights[i as usize] {
+                TreeLight::Triangle { id, both_sides } => {
+                    add_triangle(
+                        id,
+                        both_sides,
+                        1.0 / probability,
+                        at,
+                        visibility,
+                        Vec2::new(u(1), u(2)),
+                        &mut out,
+                        rays,
+                    );
+                }
+                TreeLight::Punctual(k) => {
+                    let light = &self.punctual[k as usize];
+                    self.add_punctual(light, 1.0 / probability, at, visibility, || Vec2::ZERO, &mut out, rays);
+                }
+            }
+        }
+        match &self.sky {
+            None => {}
+            Some(sky @ SkySampler::Constant(_)) => {
+                let w = normal_mixture(at, Vec2::new(u(3), u(4)), u(5));
+                add_sky(sky, w, 1.0 / mixture_density(at, w), at, visibility, &mut out, rays);
+            }
+            Some(sky @ SkySampler::Image(image)) => {
+                // Two samples, combined by the balance heuristic (Veach 1997).
+                let w = normal_mixture(at, Vec2::new(u(3), u(4)), u(5));
+                add_sky(sky, w, 1.0 / (mixture_density(at, w) + image.density(w)), at, visibility, &mut out, rays);
+                let (w, density) = image.sample(Vec2::new(u(5), u(6)));
+                add_sky(sky, w, 1.0 / (mixture_density(at, w) + density), at, visibility, &mut out, rays);
+            }
+        }
+        out
+    }
+
+    fn add_punctual(
+        &self,
+        light: &Punctual,
+        weight: f32,
+        at: &Receiver,
+        visibility: &Visibility,
+        u: impl Fn() -> Vec2,
+        out: &mut DirectSample,
+        rays: &mut u64,
+    ) {
+        let (direction, t_max, unit, falloff) = match light.shape {
+            Shape::Directional { cos_radius } => {
+                let axis = -light.direction;
+                let w = if cos_radius < 1.0 { uniform_cone(axis, cos_radius, u()) } else { axis };
+                (w, f32::INFINITY, w, 1.0)
+            }
+            Shape::Point | Shape::Spot { .. } => {
+                let to = light.position - at.origin;
+                let d2 = to.length_squared();
+                if d2 < 1e-14 {
+                    return;
+                }
+                let w = to / d2.sqrt();
+                let cone = match light.shape {
+                    Shape::Spot { cos_outer, scale } => {
+                        let f = ((light.direction.dot(-w) - cos_outer) * scale).clamp(0.0, 1.0);
+                        f * f
+                    }
+                    _ => 1.0,
+                };
+                // Ends a hair before the light, which may stand on a surface.
+                (to, 1.0 - 1e-5, w, cone / d2)
+            }
+        };
+        let cosines = at.cosines(unit);
+        if cosines.0 <= 0.0 || falloff <= 0.0 {
+            return;
+        }
+        *rays += 1;
+        let passed = visibility.transmittance(&Ray { origin: at.origin, direction, t_max });
+        if passed != Vec3::ZERO {
+            out.add(light.intensity * passed * (falloff * weight), cosines, light.stored);
+        }
+    }
+}
+
+/// Direction with density [`mixture_density`]: cosine about the geometric or, half of the time, the shading
+/// normal. Where both agree this is plain cosine sampling.
+fn normal_mixture(at: &Receiver, u: Vec2, pick: f32) -> Vec3 {
+    let n = if pick < 0.5 { at.geometric_normal } else { at.shading_normal };
+    cosine_hemisphere(n, u)
+}
+
+fn mixture_density(at: &Receiver, w: Vec3) -> f32 {
+    let c = at.geometric_normal.dot(w).max(0.0) + at.shading_normal.dot(w).max(0.0);
+    (c * 0.5 * std::f32::consts::FRAC_1_PI).max(1e-12)
+}
+
+fn add_sky(
+    sky: &SkySampler,
+    w: Vec3,
+    weight: f32,
+    at: &Receiver,
+    visibility: &Visibility,
+    out: &mut DirectSample,
+    rays: &mut u64,
+) {
+    let cosines = at.cosines(w);
+    let radiance = sky.radiance(w);
+    if cosines.0 <= 0.0 || radiance == Vec3::ZERO {
+        return;
+    }
+    *rays += 1;
+    let passed = visibility.transmittance(&Ray { origin: at.origin, direction: w, t_max: f32::INFINITY });
+    out.add(radiance * passed * weight, cosines, true);
+}
+
+fn add_triangle(
+    id: u32,
+    both_sides: bool,
+    weight: f32,
+    at: &Receiver,
+    visibility: &Visibility,
+    u: Vec2,
+    out: &mut DirectSample,
+    rays: &mut u64,
+) {
+    let world = visibility.world;
+    if id == at.triangle {
+        return;
+    }
+    let [a, b, c] = world.positions[id as usize];
+    let corners = [a, b, c].map(|p| (p - at.origin).as_dvec3());
+    let near = solid_angle(corners);
+    // (barycentric weights, 1 / density per solid angle); `None`: density per area follows below.
+    let by_angle = if near > NEAR_SOLID_ANGLE { sample_spherical_triangle(corners, u) } else { None };
+    let (uv, inverse_density) = match by_angle {
+        Some((w, angle)) => match barycentric_along(corners, w) {
+            Some(uv) => (uv, Some(angle as f32)),
+            None => return,
+        },
+        None => (uniform_triangle(u), None),
+    };
+    let normal = world.normals[id as usize];
+    let target = world.position(id, uv);
+    let towards = normal.dot(at.origin - target);
+    if towards == 0.0 || (towards < 0.0 && !both_sides) {
+        return;
+    }
+    let side = normal * towards.signum();
+    let end = accel::offset_origin(target, side, world.extent(id));
+    let to = end - at.origin;
+    let d2 = to.length_squared();
+    if d2 < 1e-16 {
+        return;
+    }
+    let w = to / d2.sqrt();
+    let cosines = at.cosines(w);
+    let cos_emitter = side.dot(-w);
+    if cosines.0 <= 0.0 || cos_emitter <= 0.0 {
+        return;
+    }
+    let s = world.surface(id, uv);
+    let radiance = s.emission * s.alpha;
+    if radiance == Vec3::ZERO {
+        return;
+    }
+    let inverse_density = inverse_density.unwrap_or_else(|| world.area(id) as f32 * cos_emitter / d2);
+    *rays += 1;
+    let passed = visibility.transmittance(&Ray { origin: at.origin, direction: to, t_max: 1.0 });
+    if passed != Vec3::ZERO {
+        out.add(radiance * passed * (inverse_density * weight), cosines, true);
+    }
+}
+
+/// Barycentric weights where the direction `w` from the origin meets a triangle's plane.
+fn barycentric_along(corners: [glam::DVec3; 3], w: glam::DVec3) -> Option<Vec2> {
+    let (e1, e2) = (corners[1] - corners[0], corners[2] - corners[0]);
+    let p = w.cross(e2);
+    let det = e1.dot(p);
+    if det == 0.0 {
+        return None;
+    }
+    let s = -corners[0];
+    let q = s.cross(e1);
+    let (u, v) = (s.dot(p) / det, w.dot(q) / det);
+    let (u, v) = (u.clamp(0.0, 1.0), v.clamp(0.0, 1.0));
+    let over = (u + v).max(1.0);
+    Some(Vec2::new((u / over) as f32, (v / over) as f32))
+}
+
+fn to_frame(light: &Light, world: &World, settings: LightSettings) -> Punctual {
+    let m = world.frame.metres;
+    let (shape, scale) = match light.kind {
+        LightKind::Point => (Shape::Point, 1.0 / (m * m)),
+        LightKind::Spot { inner, outer } => {
+            let (ci, co) = (libm::cosf(inner), libm::cosf(outer));
+            (Shape::Spot { cos_outer: co, scale: 1.0 / (ci - co).max(1e-4) }, 1.0 / (m * m))
+        }
+        LightKind::Directional { angular_diameter } => {
+            (Shape::Directional { cos_radius: libm::cosf(angular_diameter * 0.5) }, 1.0)
+        }
+    };
+    Punctual {
+        position: world.frame.from_world(light.position),
+        direction: light.direction,
+        intensity: light.intensity * scale as f32,
+        shape,
+        stored: !settings.indirect_only && light.bake == BakeMode::Full,
+    }
+}
+
+/// Bounds of an emissive triangle; `None` if it emits nothing.
+fn triangle_bounds(world: &World, id: u32) -> Option<LightBounds> {
+    let flags = world.flags[id as usize];
+    if !flags.has(SurfaceFlags::EMITS) || flags.has(SurfaceFlags::DEGENERATE) {
+        return None;
+    }
+    let at = |uv| {
+        let s = world.surface(id, uv);
+        (s.emission * s.alpha).element_sum()
+    };
+    let mean = if flags.has(SurfaceFlags::VARIES) {
+        // A few looks at the texture; never 0 where the factor is not, so that no lit part is missed.
+        let n = 16;
+        let r2 = |k: u32, a: f64| (f64::from(k) * a + 0.5).fract() as f32;
+        let sum: f32 = (0..n).map(|k| at(uniform_triangle(Vec2::new(r2(k, 0.754_877_67), r2(k, 0.569_840_3))))).sum();
+        (sum / n as f32).max(0.01 * world.material(id).emission.element_sum())
+    } else {
+        at(Vec2::splat(1.0 / 3.0))
+    };
+    let power = mean * world.area(id) as f32;
+    if power <= 0.0 {
+        return None;
+    }
+    let [a, b, c] = world.positions[id as usize];
+    Some(LightBounds {
+        lo: a.min(b).min(c),
+        hi: a.max(b).max(c),
+        power,
+        axis: world.normals[id as usize],
+        cos_spread: 1.0,
+        two_sided: flags.has(SurfaceFlags::DOUBLE_SIDED),
+        all_around: false,
+    })
+}

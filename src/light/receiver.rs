@@ -1,0 +1,37 @@
+//! A point that light falls on.
+
+use crate::accel;
+use crate::scene::World;
+use glam::{Vec2, Vec3};
+
+/// A point on one side of a surface, in the frame.
+#[derive(Debug, Clone, Copy)]
+pub struct Receiver {
+    /// Triangle id.
+    pub triangle: u32,
+    /// Barycentric weights of the second and third corner.
+    pub uv: Vec2,
+    /// Position moved off the surface: where rays start.
+    pub origin: Vec3,
+    /// Unit geometric normal of the receiving side.
+    pub geometric_normal: Vec3,
+    /// Unit shading normal of the receiving side; the geometric one unless smooth normals are asked for.
+    pub shading_normal: Vec3,
+}
+
+impl Receiver {
+    /// The point of `triangle` at `uv`, seen from its front or back.
+    pub fn new(world: &World, triangle: u32, uv: Vec2, back: bool, smooth: bool) -> Receiver {
+        let side = if back { -1.0 } else { 1.0 };
+        let geometric_normal = world.normals[triangle as usize] * side;
+        let shading_normal = if smooth { world.shading_normal(triangle, uv) * side } else { geometric_normal };
+        let origin = accel::offset_origin(world.position(triangle, uv), geometric_normal, world.extent(triangle));
+        Receiver { triangle, uv, origin, geometric_normal, shading_normal }
+    }
+
+    /// Cosines of a unit direction with the geometric and the shading normal; both 0 below the surface.
+    pub fn cosines(&self, direction: Vec3) -> (f32, f32) {
+        let g = self.geometric_normal.dot(direction);
+        if g <= 0.0 { (0.0, 0.0) } else { (g, self.shading_normal.dot(direction).max(0.0)) }
+    }
+}

@@ -1,0 +1,43 @@
+//! How much light passes between two points.
+
+use crate::accel::{Accel, Ray};
+use crate::scene::{SurfaceFlags, World};
+use glam::{Vec2, Vec3};
+use std::ops::ControlFlow;
+
+/// Shadow rays through a world.
+#[derive(Debug, Clone, Copy)]
+pub struct Visibility<'a> {
+    /// Materials and geometry.
+    pub world: &'a World<'a>,
+    /// What rays meet.
+    pub accel: &'a Accel,
+    /// Some surface passes light: otherwise every hit blocks and no material is looked at.
+    pub some_pass: bool,
+}
+
+impl<'a> Visibility<'a> {
+    /// Looks once through the flags of `world`.
+    pub fn new(world: &'a World<'a>, accel: &'a Accel) -> Visibility<'a> {
+        let some_pass = world.flags.iter().any(|f| f.has(SurfaceFlags::PASSES_LIGHT));
+        Visibility { world, accel, some_pass }
+    }
+
+    /// Share of light per channel that passes along `ray`, in [0, 1]: exact, since every surface crossed
+    /// multiplies once and the order does not matter.
+    pub fn transmittance(&self, ray: &Ray) -> Vec3 {
+        if !self.some_pass {
+            return if self.accel.occluded(ray) { Vec3::ZERO } else { Vec3::ONE };
+        }
+        let mut passed = Vec3::ONE;
+        let blocked = self.accel.visit_hits(ray, |hit| {
+            if !self.world.flags[hit.triangle as usize].has(SurfaceFlags::PASSES_LIGHT) {
+                return ControlFlow::Break(());
+            }
+            let s = self.world.surface(hit.triangle, Vec2::new(hit.u, hit.v));
+            passed *= Vec3::splat(1.0 - s.alpha) + s.transmittance * s.alpha;
+            if passed.max_element() <= 0.0 { ControlFlow::Break(()) } else { ControlFlow::Continue(()) }
+        });
+        if blocked { Vec3::ZERO } else { passed }
+    }
+}

@@ -1,0 +1,54 @@
+//! How a bake is watched and stopped.
+
+use crate::error::Warning;
+use std::ops::ControlFlow;
+
+/// Stages of a bake, in order.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Stage {
+    /// Cutting and flattening meshes, packing charts.
+    Unwrap,
+    /// Clipping triangles against texels, building the hierarchy.
+    Prepare,
+    /// Direct light and photons.
+    Light,
+    /// Making the maps.
+    Finish,
+}
+
+/// Where a bake stands.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Progress {
+    /// Texel error now, in percent; infinite before the first round ends.
+    pub percent: f64,
+    /// The target in percent.
+    pub target: f64,
+    /// Rays traced so far.
+    pub rays: u64,
+    /// Rays per second of the light stage.
+    pub rays_per_second: f64,
+    /// Seconds since the bake began.
+    pub elapsed: f64,
+    /// Seconds left to the target, by the fall of the error with the rays.
+    pub remaining: Option<f64>,
+}
+
+/// Watches a bake.
+pub trait Observer {
+    /// A stage begins.
+    fn stage(&mut self, _stage: Stage) {}
+
+    /// Called between units of work; `Break` cancels the bake.
+    fn progress(&mut self, _progress: &Progress) -> ControlFlow<()> {
+        ControlFlow::Continue(())
+    }
+
+    /// Something is odd but usable.
+    fn warn(&mut self, _warning: &Warning) {}
+}
+
+/// Watches nothing.
+#[derive(Debug, Clone, Copy, Default)]
+pub struct NoObserver;
+
+impl Observer for NoObserver {}

@@ -1,0 +1,64 @@
+//! Deposits into texels: the replaceable last stage of the photon walk.
+
+use crate::atlas::Texels;
+use glam::{Vec2, Vec3};
+use std::sync::atomic::{AtomicI64, Ordering::Relaxed};
+
+/// A photon meeting a surface.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Deposit {
+    /// Triangle id.
+    pub triangle: u32,
+    /// Met on the back of a double-sided surface.
+    pub back: bool,
+    /// Barycentric weights of the second and third corner.
+    pub uv: Vec2,
+    /// Arriving flux per channel in the integer unit of the bake.
+    pub flux: [u32; 3],
+    /// Unit direction in which the photon travels.
+    pub direction: Vec3,
+}
+
+/// Takes what photons deposit. Sums must not depend on the order of calls, which come from many threads.
+pub trait DepositSink: Sync {
+    /// Adds deposits of paths of one parity.
+    fn deposit(&self, half: usize, deposits: &[Deposit]);
+}
+
+/// Flux per texel of the map, two halves, in integers: exact and free of order.
+#[derive(Debug)]
+pub struct Bins<'t> {
+    texels: &'t Texels,
+    halves: [Vec<[AtomicI64; 3]>; 2],
+}
+
+impl<'t> Bins<'t> {
+    /// Bytes per texel of both halves.
+    pub const BYTES_PER_TEXEL: usize = 2 * size_of::<[AtomicI64; 3]>();
+
+    /// Empty bins for the texels of the map.
+    pub fn new(texels: &'t Texels) -> Bins<'t> {
+        let empty = || (0..texels.mapped).map(|_| Default::default()).collect();
+        Bins { texels, halves: [empty(), empty()] }
+    }
+
+    /// Flux of a texel, one half.
+    pub fn flux(&self, half: usize, texel: usize) -> [i64; 3] {
+        std::array::from_fn(|c| self.halves[half][texel][c].load(Relaxed))
+    }
+}
+
+impl DepositSink for Bins<'_> {
+    fn deposit(&self, half: usize, deposits: &[Deposit]) {
+        for d in deposits {
+            if let Some(texel) = self.texels.at(d.triangle, d.back, d.uv)
+                && (texel as usize) < self.texels.mapped
+            {
+                let bin = &self.halves[half][texel as usize];
+                for c in 0..3 {
+                    bin[c].fetch_add(i64::from(d.flux[c]), Relaxed);
+                }
+            }
+        }
+    }
+}

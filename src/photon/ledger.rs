@@ -1,0 +1,60 @@
+//! Where all the light went, in exact integers.
+
+use serde::Serialize;
+use std::ops::AddAssign;
+
+/// Flux per channel in the integer unit of the bake. Always
+/// `emitted + roulette = absorbed + back_absorbed + escaped + cut`.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize)]
+pub struct EnergyLedger {
+    /// Sent out by photons at their start.
+    pub emitted: [i128; 3],
+    /// Net gain by Russian roulette: 0 in expectation.
+    pub roulette: [i128; 3],
+    /// Taken up by surfaces.
+    pub absorbed: [i128; 3],
+    /// Of light that met the back of one-sided surfaces.
+    pub back_absorbed: [i128; 3],
+    /// Left the scene.
+    pub escaped: [i128; 3],
+    /// In photons ended by the bounce limit.
+    pub cut: [i128; 3],
+    /// Sum of all deposits, mapped or not.
+    pub deposited: [i128; 3],
+    /// Photons started.
+    pub photons: u64,
+    /// Rays traced.
+    pub rays: u64,
+    /// Deposits made.
+    pub deposits: u64,
+}
+
+impl EnergyLedger {
+    /// `emitted + roulette - absorbed - back_absorbed - escaped - cut` per channel: 0.
+    pub fn imbalance(&self) -> [i128; 3] {
+        std::array::from_fn(|c| {
+            self.emitted[c] + self.roulette[c]
+                - self.absorbed[c]
+                - self.back_absorbed[c]
+                - self.escaped[c]
+                - self.cut[c]
+        })
+    }
+}
+
+impl AddAssign<&EnergyLedger> for EnergyLedger {
+    fn add_assign(&mut self, o: &EnergyLedger) {
+        for c in 0..3 {
+            self.emitted[c] += o.emitted[c];
+            self.roulette[c] += o.roulette[c];
+            self.absorbed[c] += o.absorbed[c];
+            self.back_absorbed[c] += o.back_absorbed[c];
+            self.escaped[c] += o.escaped[c];
+            self.cut[c] += o.cut[c];
+            self.deposited[c] += o.deposited[c];
+        }
+        self.photons += o.photons;
+        self.rays += o.rays;
+        self.deposits += o.deposits;
+    }
+}

@@ -1,0 +1,119 @@
+//! The walk of one photon from surface to surface.
+
+use super::bins::Deposit;
+use super::ledger::EnergyLedger;
+use crate::accel::{self, Ray};
+use crate::light::Visibility;
+use crate::sampling::cosine_hemisphere;
+use crate::scene::SurfaceFlags;
+use glam::{Vec2, Vec3};
+
+/// A photon ends after this many surfaces, whatever the reflectance; what it carried is counted as cut.
+pub const MAX_SURFACES: u32 = 100_000;
+
+/// Reflectances are fixed-point numbers with this many bits.
+const ALBEDO_BITS: u32 = 24;
+
+/// A photon under way.
+#[derive(Debug, Clone, Copy)]
+pub struct Photon {
+    /// The ray it travels along.
+    pub ray: Ray,
+    /// Flux per channel; the largest is the same for all photons of a net.
+    pub flux: [u32; 3],
+}
+
+/// Walks `photon` to its end. `random` gives the next random word. Deposits are appended; the ledger balances.
+pub fn walk(
+    mut photon: Photon,
+    visibility: &Visibility,
+    mut random: impl FnMut() -> u32,
+    deposits: &mut Vec<Deposit>,
+    ledger: &mut EnergyLedger,
+) {
+    let world = visibility.world;
+    add(&mut ledger.emitted, photon.flux);
+    ledger.photons += 1;
+    for _ in 0..MAX_SURFACES {
+        ledger.rays += 1;
+        let Some(hit) = visibility.accel.closest(&photon.ray) else {
+            add(&mut ledger.escaped, photon.flux);
+            return;
+        };
+        let uv = Vec2::new(hit.u, hit.v);
+        let flags = world.flags[hit.triangle as usize];
+        let normal = world.normals[hit.triangle as usize];
+        let back = normal.dot(photon.ray.direction) > 0.0;
+        let receives = !back || flags.has(SurfaceFlags::DOUBLE_SIDED);
+        if receives {
+            deposits.push(Deposit {
+                triangle: hit.triangle,
+                back,
+                uv,
+                flux: photon.flux,
+                direction: photon.ray.direction,
+            });
+            add(&mut ledger.deposited, photon.flux);
+            ledger.deposits += 1;
+        } else if !flags.has(SurfaceFlags::PASSES_LIGHT) {
+            add(&mut ledger.back_absorbed, photon.flux);
+            return;
+        }
+        let s = world.surface(hit.triangle, uv);
+        let reflected = if receives { scale(photon.flux, s.albedo * s.alpha) } else { [0; 3] };
+        let passed = if flags.has(SurfaceFlags::PASSES_LIGHT) {
+            scale(photon.flux, Vec3::splat(1.0 - s.alpha) + s.transmittance * s.alpha)
+        } else {
+            [0; 3]
+        };
+        // Roulette by the largest channel: the photon goes on with one of the two, as heavy as before.
+        let (largest, m_reflected, m_passed) = (max(photon.flux), max(reflected), max(passed));
+        let r = u64::from(random()) * u64::from(largest);
+        let (next, share) = if r < u64::from(m_reflected) << 32 {
+            (Some(true), reflected)
+        } else if r < (u64::from(m_reflected) + u64::from(m_passed)) << 32 {
+            (Some(false), passed)
+        } else {
+            (None, [0; 3])
+        };
+        // What the surface keeps of both shares; a back side's keep is counted apart.
+        let kept = if receives { &mut ledger.absorbed } else { &mut ledger.back_absorbed };
+        for c in 0..3 {
+            kept[c] += i128::from(photon.flux[c]) - i128::from(reflected[c]) - i128::from(passed[c]);
+        }
+        let expected: [i128; 3] = std::array::from_fn(|c| i128::from(reflected[c]) + i128::from(passed[c]));
+        let Some(reflects) = next else {
+            (0..3).for_each(|c| ledger.roulette[c] -= expected[c]);
+            return;
+        };
+        let heaviest = u64::from(max(share));
+        let flux = share.map(|f| ((u64::from(f) * u64::from(largest) + heaviest / 2) / heaviest) as u32);
+        (0..3).for_each(|c| ledger.roulette[c] += i128::from(flux[c]) - expected[c]);
+
+        let facing = if back { -normal } else { normal };
+        let (side, direction) = if reflects {
+            let u = Vec2::new(crate::sampling::unit_f32(random()), crate::sampling::unit_f32(random()));
+            (facing, cosine_hemisphere(facing, u))
+        } else {
+            (-facing, photon.ray.direction)
+        };
+        let origin = accel::offset_origin(world.position(hit.triangle, uv), side, world.extent(hit.triangle));
+        photon = Photon { ray: Ray { origin, direction, t_max: f32::INFINITY }, flux };
+    }
+    add(&mut ledger.cut, photon.flux);
+}
+
+fn add(sum: &mut [i128; 3], flux: [u32; 3]) {
+    (0..3).for_each(|c| sum[c] += i128::from(flux[c]));
+}
+
+fn max(f: [u32; 3]) -> u32 {
+    f[0].max(f[1]).max(f[2])
+}
+
+/// `flux` times a share in [0, 1] per channel, rounded down.
+fn scale(flux: [u32; 3], share: Vec3) -> [u32; 3] {
+    let one = (1u32 << ALBEDO_BITS) as f32;
+    let fixed = (share.clamp(Vec3::ZERO, Vec3::ONE) * one).to_array().map(|s| s as u64);
+    std::array::from_fn(|c| (u64::from(flux[c]) * fixed[c] >> ALBEDO_BITS) as u32)
+}

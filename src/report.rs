@@ -1,0 +1,227 @@
+//! What a bake says about itself.
+
+use crate::accuracy::{ErrorEstimate, MeshError};
+use crate::error::Warning;
+use crate::options::Quantity;
+use crate::photon::EnergyLedger;
+use serde::Serialize;
+
+/// The convergence report. Errors are in percent of the mean irradiance, as the README defines them.
+#[derive(Debug, Clone, Serialize)]
+pub struct Report {
+    /// Version of the program.
+    pub evenlight: &'static str,
+    /// Name of the scene.
+    pub scene: String,
+    /// Seed of every random stream.
+    pub seed: u64,
+    /// What the maps hold.
+    pub quantity: Quantity,
+    /// Asked for: upper 95 % limit of the texel error.
+    pub target_percent: f64,
+    /// Asked for: error per mesh that 95 % of the meshes must meet.
+    pub target_mesh_percent: f64,
+    /// Both targets are met.
+    pub target_met: bool,
+    /// What ended the bake where a target is not met: `time-limit`, `max-photons`, `samples`.
+    pub limit: Option<&'static str>,
+    /// Noise of the stored mean: sqrt( sum a (E_odd - E_even)^2 / (4 sum a) ) over the mean.
+    pub sigma: f64,
+    /// Distance of the two halves, as the founding paper states it: twice `sigma`.
+    pub sigma_paper: f64,
+    /// What smoothing over cells adds; 0 while texels are estimated one by one.
+    pub cell_bias: f64,
+    /// sqrt(sigma^2 + cell_bias^2).
+    pub texel_error_percent: f64,
+    /// 95 % interval of the texel error.
+    pub texel_error_interval: [f64; 2],
+    /// The same for luminance.
+    pub luminance_error_percent: f64,
+    /// RMS of bilinear filtering against the irradiance inside the texels; `null` while not estimated.
+    pub texel_grid_error: Option<f64>,
+    /// Texel error and grid error together; `null` while not estimated.
+    pub shown_error_percent: Option<f64>,
+    /// Share of the area whose error is at most the target times max(E there, 1 % of the mean).
+    pub area_within_target: f64,
+    /// Error that 95 % of the meshes are under.
+    pub mesh_error_percent_95: f64,
+    /// Share of the squared error in the worst thousandth of the texels.
+    pub outlier_share: f64,
+    /// Noise of the direct part and of the indirect part, relative to the whole mean.
+    pub split: Split,
+    /// Area-weighted mean irradiance [lux] over channels.
+    pub mean_irradiance: f64,
+    /// Per node.
+    pub meshes: Vec<MeshError>,
+    /// One entry per round.
+    pub history: Vec<HistoryEntry>,
+    /// What was traced.
+    pub work: Work,
+    /// Where the light went, in the integer unit; `imbalance` must be 0.
+    pub energy: Energy,
+    /// Texels and areas.
+    pub atlas: AtlasSummary,
+    /// What was skipped, and what that saved.
+    pub skips: Vec<String>,
+    /// What is odd but usable.
+    pub warnings: Vec<Warning>,
+    /// Seconds per stage: the only part that differs between runs.
+    pub seconds: Seconds,
+}
+
+/// Noise by source.
+#[derive(Debug, Clone, Copy, Serialize)]
+pub struct Split {
+    /// Direct light.
+    pub direct: f64,
+    /// Indirect light.
+    pub indirect: f64,
+}
+
+/// State at the end of a round.
+#[derive(Debug, Clone, Copy, Serialize)]
+pub struct HistoryEntry {
+    /// Direct samples per texel and half.
+    pub direct_samples: u32,
+    /// Photons of both halves.
+    pub photons: u64,
+    /// Rays of all kinds.
+    pub rays: u64,
+    /// Texel error.
+    pub percent: f64,
+    /// Upper end of its interval.
+    pub high: f64,
+    /// Rays that the fall of sigma predicts to the targets, from the start.
+    pub forecast_rays: f64,
+}
+
+/// What was traced.
+#[derive(Debug, Clone, Copy, Default, Serialize)]
+pub struct Work {
+    /// Direct samples per texel and half.
+    pub direct_samples: u32,
+    /// Shadow rays of the direct light.
+    pub direct_rays: u64,
+    /// Photons of both halves.
+    pub photons: u64,
+    /// Rays of photons.
+    pub photon_rays: u64,
+    /// Deposits of photons.
+    pub deposits: u64,
+    /// Rays that look for buried surface.
+    pub probe_rays: u64,
+    /// Emissive triangles, and lights without area.
+    pub emissive_triangles: usize,
+    /// Point, spot and directional lights, suns included.
+    pub lights: usize,
+}
+
+/// The energy balance.
+#[derive(Debug, Clone, Copy, Serialize)]
+pub struct Energy {
+    /// Flux of one integer step [lux m2].
+    pub unit: f64,
+    /// Where the flux went.
+    #[serde(flatten)]
+    pub ledger: LedgerNumbers,
+    /// emitted + roulette - absorbed - back_absorbed - escaped - cut.
+    pub imbalance: [i64; 3],
+}
+
+/// The ledger as numbers JSON readers can hold.
+#[derive(Debug, Clone, Copy, Serialize)]
+pub struct LedgerNumbers {
+    emitted: [f64; 3],
+    roulette: [f64; 3],
+    absorbed: [f64; 3],
+    back_absorbed: [f64; 3],
+    escaped: [f64; 3],
+    cut: [f64; 3],
+}
+
+impl Energy {
+    /// From the exact ledger.
+    pub fn new(ledger: &EnergyLedger, unit: f64) -> Energy {
+        let f = |v: [i128; 3]| v.map(|x| x as f64);
+        Energy {
+            unit,
+            ledger: LedgerNumbers {
+                emitted: f(ledger.emitted),
+                roulette: f(ledger.roulette),
+                absorbed: f(ledger.absorbed),
+                back_absorbed: f(ledger.back_absorbed),
+                escaped: f(ledger.escaped),
+                cut: f(ledger.cut),
+            },
+            imbalance: ledger.imbalance().map(|x| x as i64),
+        }
+    }
+}
+
+/// Texels and areas.
+#[derive(Debug, Clone, Copy, Serialize)]
+pub struct AtlasSummary {
+    /// Pages.
+    pub pages: usize,
+    /// Charts of all instances.
+    pub charts: u32,
+    /// Texels with surface.
+    pub texels: usize,
+    /// Texels of surfaces without a place on the map, which only reflect.
+    pub transport_texels: usize,
+    /// Share of the pages' texels that hold surface.
+    pub utilization: f64,
+    /// Density where nothing asks for another.
+    pub texels_per_metre: f64,
+    /// Surface on the map [m2].
+    pub area: f64,
+    /// Of it inside closed solids.
+    pub buried_area: f64,
+    /// Triangles in the scene.
+    pub triangles: usize,
+}
+
+/// Seconds per stage.
+#[derive(Debug, Clone, Copy, Default, Serialize)]
+pub struct Seconds {
+    /// Cutting, flattening, packing.
+    pub atlas: f64,
+    /// Clipping triangles against texels.
+    pub texels: f64,
+    /// Building the hierarchy.
+    pub accel: f64,
+    /// Looking for buried surface.
+    pub open: f64,
+    /// Direct light.
+    pub direct: f64,
+    /// Photons.
+    pub photons: f64,
+    /// Estimating errors.
+    pub estimate: f64,
+    /// Making the maps.
+    pub finish: f64,
+    /// From the call to the result.
+    pub total: f64,
+}
+
+/// The error that 95 % of the meshes are under (0 without meshes).
+pub fn percentile_95(meshes: &[MeshError]) -> f64 {
+    let mut errors: Vec<f64> = meshes.iter().map(|m| m.error_percent).collect();
+    errors.sort_unstable_by(f64::total_cmp);
+    let k = (errors.len() as f64 * 0.95).ceil() as usize;
+    if k == 0 { 0.0 } else { errors[k - 1] }
+}
+
+/// Names an estimate's fields as the report does.
+impl Report {
+    /// Copies a texel error into the report's keys.
+    pub fn set_texel_error(&mut self, e: &ErrorEstimate) {
+        self.sigma = e.percent;
+        self.sigma_paper = 2.0 * e.percent;
+        self.texel_error_percent = (e.percent * e.percent + self.cell_bias * self.cell_bias).sqrt();
+        self.texel_error_interval = [e.low, e.high];
+        self.luminance_error_percent = e.luminance_percent;
+        self.outlier_share = e.outlier_share;
+        self.mean_irradiance = e.mean;
+    }
+}

@@ -1,0 +1,406 @@
+//! Light until the error is under the target: rounds of direct samples and photons.
+//!
+//! In: texels, emitters, what rays meet. Out: [`Solution`], the irradiance of every texel in two halves with
+//! its error. After each round the noise of the direct and of the indirect part is known from the halves, and
+//! the next round is sized so that the target is met with the fewest rays. All decisions are made between
+//! rounds from sums in fixed order; only a time limit can make two runs differ.
+
+use crate::accuracy::{ErrorEstimate, Halves, TexelWeights, estimate_error, mesh_errors};
+use crate::atlas::{NO_CHART, Texels};
+use crate::error::BakeError;
+use crate::light::{Direct, Emitters, Visibility};
+use crate::observer::{Observer, Progress};
+use crate::options::{BakeOptions, DoubleSided, Normals};
+use crate::photon::{Bins, EnergyLedger, Flux, Shooting, StartTable};
+use crate::report::{HistoryEntry, percentile_95};
+use glam::Vec3;
+use rayon::prelude::*;
+use std::time::Instant;
+
+/// Direct samples per texel and half of the first round.
+const FIRST_SAMPLES: u32 = 4;
+
+/// Most direct samples per texel and half: the Sobol sequences are good for far more, but a texel that needs
+/// this many will not get better soon.
+const MAX_SAMPLES: u32 = 1 << 14;
+
+/// Photons of the first round per half: 2^(12..20), by the number of texels.
+const FIRST_NET_BITS: std::ops::RangeInclusive<u32> = 12..=20;
+
+/// Nets of one round are powers of two of at least this many photons.
+const LEAST_NET_BITS: u32 = 12;
+
+/// Largest net: rounds between two looks at the clock.
+const LARGEST_NET_BITS: u32 = 21;
+
+/// A round multiplies the work so far by at most this much: forecasts from little data are poor.
+const MOST_GROWTH: f64 = 5.0;
+
+/// Rounds aim this far below the target, since the estimate itself scatters.
+const MARGIN: f64 = 0.98;
+
+/// What rays meet and what shines: the inputs of the solution.
+#[derive(Debug, Clone, Copy)]
+pub struct LightPath<'a> {
+    /// All texels.
+    pub texels: &'a Texels,
+    /// Open share of the area of each texel of the map.
+    pub open: &'a [f32],
+    /// What shines.
+    pub emitters: &'a Emitters,
+    /// What rays meet.
+    pub visibility: &'a Visibility<'a>,
+}
+
+/// Irradiance of all texels with its error.
+#[derive(Debug)]
+pub struct Solution {
+    /// Irradiance [lux] of each texel of the map.
+    pub total: Halves,
+    /// Weights of the texels that are stored.
+    pub weights: TexelWeights,
+    /// Error of the whole.
+    pub error: ErrorEstimate,
+    /// Error of the direct part, relative to the whole mean.
+    pub direct_error: ErrorEstimate,
+    /// Error of the indirect part, relative to the whole mean.
+    pub indirect_error: ErrorEstimate,
+    /// Error that 95 % of the meshes are under.
+    pub mesh_percent: f64,
+    /// Which limit ended it before the targets were met.
+    pub limit: Option<&'static str>,
+    /// One entry per round.
+    pub history: Vec<HistoryEntry>,
+    /// Direct samples per texel and half.
+    pub direct_samples: u32,
+    /// Shadow rays of direct light.
+    pub direct_rays: u64,
+    /// Where the photons' flux went.
+    pub ledger: EnergyLedger,
+    /// Flux of one integer step [lux x frame units squared].
+    pub unit: f64,
+    /// Seconds of direct light, photons, estimates.
+    pub seconds: [f64; 3],
+}
+
+/// Work under way.
+struct Solver<'a, 'o> {
+    path: LightPath<'a>,
+    options: &'a BakeOptions,
+    observer: &'o mut dyn Observer,
+    began: Instant,
+    weights: TexelWeights,
+    direct: Direct,
+    bins: Bins<'a>,
+    flux: Option<Flux>,
+    /// Photons per half, and nets per half so far.
+    photons: u64,
+    nets: u64,
+    ledger: EnergyLedger,
+    seconds: [f64; 3],
+    history: Vec<HistoryEntry>,
+    last: Option<(f64, f64)>,
+}
+
+/// Solves until the targets of `options` are met or a limit binds. `began` is when the bake began.
+///
+/// # Errors
+/// [`BakeError::Cancelled`] when the observer says so.
+pub fn solve(
+    path: LightPath,
+    weights: TexelWeights,
+    options: &BakeOptions,
+    began: Instant,
+    observer: &mut dyn Observer,
+) -> Result<Solution, BakeError> {
+    let mut solver = Solver {
+        path,
+        options,
+        observer,
+        began,
+        weights,
+        direct: Direct::new(path.texels.texels.len()),
+        bins: Bins::new(path.texels),
+        flux: None,
+        photons: 0,
+        nets: 0,
+        ledger: EnergyLedger::default(),
+        seconds: [0.0; 3],
+        history: Vec::new(),
+        last: None,
+    };
+    solver.run()
+}
+
+/// Work for the next round: direct samples per texel and half, photons per half.
+#[derive(Debug, Clone, Copy)]
+struct Round {
+    samples: u32,
+    photons: u64,
+}
+
+impl Solver<'_, '_> {
+    fn run(&mut self) -> Result<Solution, BakeError> {
+        let bits = (self.path.texels.texels.len().max(1).ilog2()).clamp(*FIRST_NET_BITS.start(), *FIRST_NET_BITS.end());
+        let mut round = Round { samples: FIRST_SAMPLES, photons: 1 << bits };
+        loop {
+            let stopped = self.trace(round)?;
+            let started = Instant::now();
+            let mut solution = self.solution();
+            self.seconds[2] += started.elapsed().as_secs_f64();
+            let needed = self.reduction_needed(&solution);
+            let next = self.plan(&solution, needed);
+            let rays = self.rays();
+            let cost =
+                |r: &Round| self.cost_per_sample() * f64::from(r.samples) + self.cost_per_photon() * r.photons as f64;
+            let forecast_rays = rays as f64 + self.unbounded_plan(&solution, needed).map_or(0.0, |r| cost(&r));
+            self.history.push(HistoryEntry {
+                direct_samples: self.direct.samples(),
+                photons: self.photons * 2,
+                rays,
+                percent: solution.error.percent,
+                high: solution.error.high,
+                forecast_rays,
+            });
+            self.last = Some((solution.error.high, forecast_rays));
+            self.report_progress()?;
+            let done = needed <= 1.0;
+            if done || stopped.is_some() || next.is_none() {
+                solution.limit = if done { None } else { stopped.or(Some(self.exhausted())) };
+                solution.history = std::mem::take(&mut self.history);
+                solution.seconds = self.seconds;
+                return Ok(solution);
+            }
+            round = next.expect("a round was planned");
+        }
+    }
+
+    /// Traces one round; the name of the limit that ended it early.
+    fn trace(&mut self, round: Round) -> Result<Option<&'static str>, BakeError> {
+        let smooth = self.options.normals == Normals::Smooth;
+        let mut left = round.samples;
+        while left > 0 {
+            let some = left.min(FIRST_SAMPLES);
+            let started = Instant::now();
+            let LightPath { texels, emitters, visibility, .. } = self.path;
+            self.direct.extend(some, self.options.seed, smooth, texels, emitters, visibility);
+            self.seconds[0] += started.elapsed().as_secs_f64();
+            self.report_progress()?;
+            left -= some;
+            if left > 0 && self.out_of_time() {
+                return Ok(Some("time-limit"));
+            }
+        }
+        let started = Instant::now();
+        let starts = [0, 1].map(|h| StartTable::new(self.path.texels, &self.direct, h));
+        let total = starts[0].total().max(starts[1].total());
+        if total <= 0.0 {
+            return Ok(None);
+        }
+        let flux = *self.flux.get_or_insert_with(|| Flux::for_total(total));
+        let shooting = Shooting {
+            seed: self.options.seed,
+            flux,
+            starts,
+            direct: &self.direct,
+            texels: self.path.texels,
+            visibility: self.path.visibility,
+        };
+        let mut left = round.photons;
+        let mut limit = None;
+        while left > 0 {
+            let bits = left.ilog2().clamp(LEAST_NET_BITS, LARGEST_NET_BITS);
+            if self.options.max_photons.is_some_and(|m| 2 * (self.photons + (1 << bits)) > m.max(2 << LEAST_NET_BITS)) {
+                limit = Some("max-photons");
+                break;
+            }
+            for half in 0..2 {
+                // A half whose direct samples found no light sends out nothing, but its photons count.
+                if shooting.starts[half].total() > 0.0 {
+                    self.ledger += &shooting.net(half, self.nets, bits, &self.bins);
+                }
+            }
+            self.nets += 1;
+            self.photons += 1 << bits;
+            left = left.saturating_sub(1 << bits);
+            let elapsed = self.began.elapsed().as_secs_f64();
+            if left > 0 && self.options.time_limit.is_some_and(|t| elapsed > t) {
+                limit = Some("time-limit");
+                break;
+            }
+            let progress = progress(
+                self.began,
+                self.options,
+                self.direct.rays() + self.ledger.rays,
+                self.last,
+                self.seconds[0] + self.seconds[1] + started.elapsed().as_secs_f64(),
+            );
+            if self.observer.progress(&progress).is_break() {
+                return Err(BakeError::Cancelled);
+            }
+        }
+        self.seconds[1] += started.elapsed().as_secs_f64();
+        if limit.is_none() && self.out_of_time() {
+            limit = Some("time-limit");
+        }
+        Ok(limit)
+    }
+
+    fn out_of_time(&self) -> bool {
+        self.options.time_limit.is_some_and(|t| self.began.elapsed().as_secs_f64() > t)
+    }
+
+    fn rays(&self) -> u64 {
+        self.direct.rays() + self.ledger.rays
+    }
+
+    fn report_progress(&mut self) -> Result<(), BakeError> {
+        let p = progress(self.began, self.options, self.rays(), self.last, self.seconds[0] + self.seconds[1]);
+        if self.observer.progress(&p).is_break() { Err(BakeError::Cancelled) } else { Ok(()) }
+    }
+
+    /// Rays per direct sample (of all texels and both halves), and per photon of each half.
+    fn cost_per_sample(&self) -> f64 {
+        self.direct.rays().max(1) as f64 / f64::from(self.direct.samples().max(1))
+    }
+
+    fn cost_per_photon(&self) -> f64 {
+        self.ledger.rays.max(1) as f64 / self.photons.max(1) as f64
+    }
+
+    /// Factor by which the variance must fall, >= 1 while a target is unmet.
+    fn reduction_needed(&self, s: &Solution) -> f64 {
+        let target = self.options.target_percent;
+        let mesh = self.options.target_mesh_percent.unwrap_or(3.0 * target);
+        (s.error.high / target).max(s.mesh_percent / mesh).powi(2)
+    }
+
+    /// The least work that brings the variance down to 1 / `needed`, taking both parts to fall as 1 / n:
+    /// minimise R_d x + R_i y subject to A / x + B / y = (A + B) / needed.
+    fn unbounded_plan(&self, s: &Solution, needed: f64) -> Option<Round> {
+        if needed <= 1.0 {
+            return None;
+        }
+        let (a, b) = (s.direct_error.percent.powi(2), s.indirect_error.percent.powi(2));
+        let goal = (a + b) / needed * MARGIN * MARGIN;
+        let (ra, rb) = (self.direct.rays().max(1) as f64, self.ledger.rays.max(1) as f64);
+        let share = (a * ra).sqrt() + (b * rb).sqrt();
+        let (mut x, mut y) = ((a / ra).sqrt() * share / goal, (b / rb).sqrt() * share / goal);
+        if x < 1.0 {
+            (x, y) = (1.0, b / (goal - a).max(1e-300));
+        } else if y < 1.0 {
+            (x, y) = (a / (goal - b).max(1e-300), 1.0);
+        }
+        let samples = f64::from(self.direct.samples()) * (x - 1.0).max(0.0);
+        let photons = self.photons as f64 * (y - 1.0).max(0.0);
+        Some(Round { samples: samples.ceil().min(1e9) as u32, photons: photons.ceil().min(1e18) as u64 })
+    }
+
+    /// The next round, bounded in growth; `None` where no more work can help.
+    fn plan(&self, s: &Solution, needed: f64) -> Option<Round> {
+        let wish = self.unbounded_plan(s, needed)?;
+        let most_samples = (f64::from(self.direct.samples()) * (MOST_GROWTH - 1.0)) as u32;
+        let samples = wish.samples.min(most_samples).min(MAX_SAMPLES - self.direct.samples().min(MAX_SAMPLES));
+        let most_photons = (self.photons as f64 * (MOST_GROWTH - 1.0)) as u64;
+        let photons = wish.photons.min(most_photons).next_multiple_of(1 << LEAST_NET_BITS);
+        (samples > 0 || photons > 0 && self.flux.is_some()).then_some(Round { samples, photons })
+    }
+
+    fn exhausted(&self) -> &'static str {
+        if self.options.max_photons.is_some() { "max-photons" } else { "samples" }
+    }
+
+    /// Irradiance and errors as they stand.
+    fn solution(&mut self) -> Solution {
+        let (direct, indirect) = (self.direct_halves(), self.indirect_halves());
+        let add = |a: &[Vec3], b: &[Vec3]| a.par_iter().zip(b).map(|(a, b)| *a + *b).collect::<Vec<_>>();
+        let total = Halves { odd: add(&direct.odd, &indirect.odd), even: add(&direct.even, &indirect.even) };
+        let weights = self.stored_weights(&total);
+        let error = estimate_error(&total, &total, &weights);
+        let direct_error = estimate_error(&direct, &total, &weights);
+        let indirect_error = estimate_error(&indirect, &total, &weights);
+        let (meshes, _) =
+            mesh_errors(self.path.visibility.world, &total, &weights, error.mean, self.options.target_percent);
+        Solution {
+            total,
+            weights,
+            error,
+            direct_error,
+            indirect_error,
+            mesh_percent: percentile_95(&meshes),
+            limit: None,
+            history: Vec::new(),
+            direct_samples: self.direct.samples(),
+            direct_rays: self.direct.rays(),
+            ledger: self.ledger,
+            unit: self.flux.map_or(0.0, |f| f.unit),
+            seconds: self.seconds,
+        }
+    }
+
+    fn direct_halves(&self) -> Halves {
+        let (direct, open) = (&self.direct, self.path.open);
+        let half = |h| (0..open.len()).into_par_iter().map(|i| direct.stored(h, i) * per_open(open[i])).collect();
+        Halves { odd: half(0), even: half(1) }
+    }
+
+    fn indirect_halves(&self) -> Halves {
+        let LightPath { texels, open, .. } = self.path;
+        let Some(flux) = self.flux.filter(|_| self.photons > 0) else {
+            return Halves { odd: vec![Vec3::ZERO; open.len()], even: vec![Vec3::ZERO; open.len()] };
+        };
+        let (bins, per_photon) = (&self.bins, flux.unit / self.photons as f64);
+        let value = |h: usize, i: usize| {
+            let per_area = per_photon / f64::from(texels.texels[i].area) * f64::from(per_open(open[i]));
+            Vec3::from_array(bins.flux(h, i).map(|f| (f as f64 * per_area) as f32))
+        };
+        let half = |h| (0..open.len()).into_par_iter().map(|i| value(h, i)).collect();
+        Halves { odd: half(0), even: half(1) }
+    }
+
+    /// Weights with the sides that are not stored set to 0.
+    fn stored_weights(&self, total: &Halves) -> TexelWeights {
+        let texels = &self.path.texels.texels[..self.path.texels.mapped];
+        let mut weights = self.weights.clone();
+        match self.options.double_sided {
+            DoubleSided::Split => {}
+            DoubleSided::Front => {
+                (0..texels.len()).filter(|&i| texels[i].back).for_each(|i| weights.drop(i));
+            }
+            DoubleSided::Auto => {
+                let charts =
+                    texels.iter().filter(|t| t.chart != NO_CHART).map(|t| t.chart as usize + 1).max().unwrap_or(0);
+                let mut received = vec![[0f64; 2]; charts];
+                for (i, t) in texels.iter().enumerate() {
+                    received[t.chart as usize][usize::from(t.back)] +=
+                        f64::from(t.area) * f64::from(total.mean(i).element_sum());
+                }
+                for (i, t) in texels.iter().enumerate() {
+                    let [front, back] = received[t.chart as usize];
+                    if t.back != (back > front) {
+                        weights.drop(i);
+                    }
+                }
+            }
+        }
+        weights
+    }
+}
+
+/// Factor from flux over the whole area to flux over the open area; 0 where nothing is open.
+fn per_open(open: f32) -> f32 {
+    if open > 0.0 { 1.0 / open } else { 0.0 }
+}
+
+fn progress(began: Instant, options: &BakeOptions, rays: u64, last: Option<(f64, f64)>, tracing: f64) -> Progress {
+    let rate = if tracing > 0.0 { rays as f64 / tracing } else { 0.0 };
+    let remaining = last.filter(|_| rate > 0.0).map(|(_, forecast)| (forecast - rays as f64).max(0.0) / rate);
+    Progress {
+        percent: last.map_or(f64::INFINITY, |l| l.0),
+        target: options.target_percent,
+        rays,
+        rays_per_second: rate,
+        elapsed: began.elapsed().as_secs_f64(),
+        remaining,
+    }
+}
