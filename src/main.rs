@@ -4,4 +4,8 @@
 #[allow(dead_code)]
 mod cli;
 
-fn main() {}
+fn main() {
+    if std::env::args().nth(1).as_deref() == Some(evenlight::atlas::WORKER_COMMAND) {
+        std::process::exit(evenlight::atlas::worker_main());
+    }
+}

@@ -4,11 +4,25 @@
 //! coordinates in texels on a page, and [`Texels`], which says for every texel what surface it covers.
 //! Unwrappers are seen only here.
 
+mod chart;
+pub mod check;
+mod density;
+mod keep;
+mod layout;
 mod memory;
+mod pack;
+mod planar;
+mod select;
 mod texels;
+pub mod unwrap;
+mod uvunwrap;
+mod xatlas;
 
+pub use layout::build;
 pub use memory::{check_memory, memory_bytes};
 pub use texels::{NO_TEXEL, Piece, Texel, TexelSampler, Texels};
+pub use uvunwrap::{Uvunwrap, silence_unwrapper_panics};
+pub use xatlas::{WORKER_COMMAND, XatlasWorker, worker_main};
 
 use crate::error::Warning;
 use glam::Vec2;
