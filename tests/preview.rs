@@ -92,7 +92,15 @@ fn lightmap(irradiance: &[f32]) -> Lightmap {
 fn picture(scene: &Scene, irradiance: &[f32], camera: &Camera, settings: &RenderSettings) -> RgbImage {
     let world = World::new(scene);
     let accel = Accel::build(&world.positions, |t| world.flags[t as usize].has(SurfaceFlags::DEGENERATE));
-    render(&world, &|ray| accel.closest(ray), &atlas(scene), &lightmap(irradiance), camera, settings)
+    render(
+        &world,
+        &|ray| accel.closest(ray),
+        &atlas(scene),
+        &lightmap(irradiance),
+        camera,
+        scene.sky.as_ref(),
+        settings,
+    )
 }
 
 /// Looks along -Z from z = 4; the squares above fill the middle.

@@ -79,13 +79,8 @@ impl Builder {
         material: usize,
     ) -> usize {
         let mesh = self.scene.meshes.len();
-        let primitive = Primitive {
-            positions,
-            tex_coords: vec![Vec::new(), uvs],
-            triangles,
-            material,
-            ..Primitive::default()
-        };
+        let primitive =
+            Primitive { positions, tex_coords: vec![Vec::new(), uvs], triangles, material, ..Primitive::default() };
         self.scene.meshes.push(Mesh { name: name.into(), source: mesh, primitives: vec![primitive] });
         self.scene.instances.push(Instance {
             node: mesh,
@@ -162,7 +157,9 @@ pub fn run<'s>(scene: &'s Scene, options: &BakeOptions) -> Bake<'s> {
 pub fn received(bake: &Bake) -> f64 {
     let m2 = bake.world.frame.metres.powi(2);
     (0..bake.texels.mapped)
-        .map(|i| f64::from(bake.solution.total.mean(i).element_sum()) / 3.0 * f64::from(bake.texels.texels[i].area) * m2)
+        .map(|i| {
+            f64::from(bake.solution.total.mean(i).element_sum()) / 3.0 * f64::from(bake.texels.texels[i].area) * m2
+        })
         .sum()
 }
 
