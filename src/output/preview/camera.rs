@@ -18,6 +18,8 @@ const DIRECTIONS: u32 = 12;
 const RAYS: u32 = 32;
 /// A view from inside in which more than this share of rays leaves the scene is no interior.
 const MAX_ESCAPED: f32 = 0.1;
+/// Share of all directions in which a room has to have a wall.
+const MIN_CLOSED: f32 = 0.8;
 
 /// Chooses a view that shows the scene. In closed rooms: of many points in free space and level directions
 /// the view with the largest mean logarithm of distance, seeing fronts only. In the open: the whole scene
@@ -94,12 +96,15 @@ fn score_inside(world: &World, closest: &impl Fn(&Ray) -> Option<Hit>, view: &Fr
             return None;
         }
     }
-    // A room has a ceiling and walls behind the camera too.
-    let around = [Vec3::Y, -view.forward, view.forward.cross(Vec3::Y)];
-    let closed = around.iter().all(|&direction| {
+    // A room is closed behind the camera too, but for doors and windows.
+    let around = (0..RAYS).map(r2).filter(|at| {
+        let (y, azimuth) = (2.0 * at.x - 1.0, TAU * at.y);
+        let level = (1.0 - y * y).max(0.0).sqrt();
+        let direction = Vec3::new(level * azimuth.cos(), y, level * azimuth.sin());
         let ray = Ray { origin: view.origin, direction, t_max: f32::INFINITY };
         closest(&ray).is_some_and(|hit| sees_front(world, &ray, &hit))
     });
+    let closed = around.count() as f32 >= MIN_CLOSED * RAYS as f32;
     closed.then(|| sum / (RAYS - escaped - backs) as f32)
 }
 
