@@ -1,3 +1,7 @@
 //! The command line: thin.
 
-fn main() {}
+fn main() {
+    if std::env::args().nth(1).as_deref() == Some(evenlight::atlas::WORKER_COMMAND) {
+        std::process::exit(evenlight::atlas::worker_main());
+    }
+}

@@ -1,8 +1,11 @@
 //! The layout of lightmaps: no overlap, gutters kept, everything that has an area has a place, whatever comes
 //! in.
 
-use evenlight::atlas::{Atlas, NO_CHART, build, check};
-use evenlight::options::{BakeOptions, Density, UvSource};
+use evenlight::atlas::unwrap::{
+    self, JoinedMesh, Limits, UnwrapError, UnwrapInput, Unwrapped, UnwrappedVertex, Unwrapper as _,
+};
+use evenlight::atlas::{Atlas, NO_CHART, XatlasWorker, build, check};
+use evenlight::options::{BakeOptions, Density, Unwrapper, UvSource};
 use evenlight::scene::{Instance, Material, Mesh, Primitive, Scene, TriangleRef, gltf};
 use evenlight::{BakeError, Warning};
 use glam::{DAffine3, DMat3, DVec2, DVec3, Vec2, Vec3};
@@ -463,6 +466,135 @@ fn threads_change_nothing() {
 }
 
 // ---------------------------------------------------------------------------------------------------------
+// xatlas
+
+fn with_xatlas(side: u32) -> BakeOptions {
+    let worker = env!("CARGO_BIN_EXE_evenlight").into();
+    BakeOptions { unwrapper: Unwrapper::Xatlas { worker }, ..options(side) }
+}
+
+#[cfg(feature = "xatlas")]
+#[test]
+fn xatlas_unwraps_in_a_child_process() {
+    let scene = single(joined([box_soup(40), sphere(16), terrain(20)]));
+    let options = with_xatlas(512);
+    let atlas = atlas(&scene, &options);
+    let share = verify(&scene, &atlas, &options);
+    println!("xatlas: {:.0} %, {:?}", share * 100.0, atlas.warnings);
+    verify_complete(&scene, &atlas, 10.0);
+    assert!(!atlas.warnings.iter().any(|w| w.code.starts_with("unwrapper-")), "{:?}", atlas.warnings);
+}
+
+#[cfg(not(feature = "xatlas"))]
+#[test]
+fn a_worker_without_xatlas_says_how_to_get_it() {
+    let scene = single(cuboid(Vec3::ZERO, Vec3::ONE));
+    let error = build(&scene, &with_xatlas(128), &|| false).expect_err("not built in").to_string();
+    assert!(error.contains("--features xatlas"), "{error}");
+}
+
+#[test]
+fn a_worker_that_hangs_or_lies_is_worked_around() {
+    let mesh =
+        UnwrapInput { positions: vec![Vec3::ZERO, Vec3::X, Vec3::Y], triangles: vec![[0, 1, 2]], groups: vec![0] };
+    let ask = |program: &str, seconds| {
+        let limits = Limits { time: std::time::Duration::from_secs(seconds), cancelled: &|| false };
+        XatlasWorker::new(program.into()).unwrap(&mesh, limits)
+    };
+    assert!(matches!(ask("/nowhere/evenlight", 1), Err(UnwrapError::Unavailable(_))));
+    if cfg!(unix) {
+        // `yes` talks for ever, `true` says nothing, `false` fails.
+        assert_eq!(ask("yes", 1), Err(UnwrapError::TimedOut(1)));
+        assert!(matches!(ask("true", 9), Err(UnwrapError::Failed(_))));
+        assert!(matches!(ask("false", 9), Err(UnwrapError::Crashed(_))));
+    }
+}
+
+/// Fails in a way of its own on every mesh of more than 300 triangles, and lies about the others.
+struct Unreliable;
+
+impl unwrap::Unwrapper for Unreliable {
+    fn unwrap(&self, mesh: &UnwrapInput, _: Limits<'_>) -> Result<Unwrapped, UnwrapError> {
+        match mesh.triangles.len() {
+            n if n > 600 => Err(UnwrapError::Crashed("by design".into())),
+            n if n > 300 => Err(UnwrapError::TimedOut(1)),
+            n => {
+                // Everything in one chart, projected on a plane: full of overlaps.
+                let vertices = mesh.positions.iter().enumerate();
+                let vertices = vertices.map(|(i, p)| UnwrappedVertex { source: i as u32, uv: p.truncate().as_dvec2() });
+                let (vertices, triangles) = (vertices.collect(), mesh.triangles.clone());
+                Ok(Unwrapped { vertices, triangles, charts: vec![0; n], chart_count: 1 })
+            }
+        }
+    }
+}
+
+#[test]
+fn every_failure_of_an_unwrapper_is_worked_around() {
+    let (positions, triangles) = sphere(24);
+    let count = triangles.len();
+    let mesh = JoinedMesh {
+        name: "sphere".into(),
+        positions: positions.iter().map(|p| p.as_dvec3()).collect(),
+        triangles,
+        groups: vec![0; count],
+    };
+    let limits = Limits { time: std::time::Duration::from_secs(9), cancelled: &|| false };
+    let (unwrapped, warnings) = unwrap::unwrap_mesh(&mesh, &Unreliable, limits).expect("a way around");
+    assert!(has(&warnings, "unwrapper-crashed") && has(&warnings, "unwrapper-faulty"), "{warnings:?}");
+    let mut charts = vec![vec![]; unwrapped.chart_count as usize];
+    for (k, t) in unwrapped.triangles.iter().enumerate() {
+        let c = mesh.triangles[k].map(|v| mesh.positions[v as usize]);
+        let area = (c[1] - c[0]).cross(c[2] - c[0]).length();
+        assert!(unwrapped.charts[k] != NO_CHART || area < 1e-12);
+        if unwrapped.charts[k] != NO_CHART {
+            charts[unwrapped.charts[k] as usize].push(t.map(|v| unwrapped.vertices[v as usize].uv));
+        }
+    }
+    assert!(charts.iter().all(|c| check::find_overlaps(c, 1e-6, 1).is_empty()));
+}
+
+// ---------------------------------------------------------------------------------------------------------
+// Real scenes
+
+/// Scenes that are not part of the repository, next to it or where the environment says.
+fn shared(name: &str) -> Option<std::path::PathBuf> {
+    let beside = concat!(env!("CARGO_MANIFEST_DIR"), "/../shared");
+    let root = std::env::var_os("EVENLIGHT_SHARED").unwrap_or_else(|| beside.into());
+    let path = std::path::Path::new(&root).join("scenes").join(name);
+    let there = path.exists();
+    if !there {
+        println!("skipped: {} is not there", path.display());
+    }
+    there.then_some(path)
+}
+
+#[test]
+fn real_scenes_are_laid_out() {
+    for name in ["veach-ajar.glb", "modern-hall.glb", "map-complex.glb"] {
+        let Some(path) = shared(name) else { continue };
+        let scene = Scene::from_gltf(&path).unwrap_or_else(|e| panic!("{e}"));
+        let options = options(2048);
+        let start = std::time::Instant::now();
+        let atlas = atlas(&scene, &options);
+        let took = start.elapsed();
+        let share = verify(&scene, &atlas, &options);
+        println!(
+            "{name}: {} triangles, {} instances, {:?} charts, {took:.2?}, {:?}, {:.1} %, {:.2} texels/m",
+            scene.triangle_count(),
+            scene.instances.len(),
+            atlas.first_chart.last(),
+            atlas.pages,
+            share * 100.0,
+            atlas.texels_per_metre
+        );
+        for w in &atlas.warnings {
+            println!("  {}: {}", w.code, w.message);
+        }
+    }
+}
+
+// ---------------------------------------------------------------------------------------------------------
 // Kept UVs
 
 fn with_uvs(mut scene: Scene, f: impl Fn(Vec3) -> Vec2) -> Scene {
@@ -507,6 +639,7 @@ fn measure() {
         ("10,000 boxes", box_soup(10_000)),
         ("1,700 boxes", box_soup(1_700)),
         ("sphere of 100,000", sphere(160)),
+        ("terrain of 100,000", terrain(224)),
         ("terrain of 1,000,000", terrain(707)),
     ] {
         let scene = single(mesh);

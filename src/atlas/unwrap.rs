@@ -12,7 +12,7 @@ use super::planar;
 use crate::error::Warning;
 use glam::{DVec2, DVec3, Vec3};
 use rayon::prelude::*;
-use std::collections::HashMap;
+use std::collections::{HashMap, VecDeque};
 use std::time::Duration;
 
 /// What a backend sees: a mesh in its own frame, centred and scaled to coordinates in [-1, 1], finite, every
@@ -112,6 +112,10 @@ const MIN_RELATIVE_ALTITUDE: f64 = 1e-14;
 /// Components are joined to pieces of about this many triangles: enough to be worth a call, few enough that a
 /// panic spoils little.
 const PIECE_TRIANGLES: usize = 8192;
+
+/// Larger components are halved beforehand: the time for a smooth chart grows faster than its triangles, and a
+/// backend may not look at its clock inside one.
+const MAX_PIECE_TRIANGLES: usize = 131_072;
 
 /// Pieces of fewer triangles than this are not halved any further.
 const MIN_HALVED: usize = 256;
@@ -305,17 +309,23 @@ fn pieces(mesh: &JoinedMesh, usable: &[u32]) -> Vec<Vec<u32>> {
         parent[c as usize] = a;
     }
     let mut component_of = HashMap::new();
-    let mut components: Vec<Vec<u32>> = Vec::new();
+    let mut components: VecDeque<Vec<u32>> = VecDeque::new();
     for &t in usable {
         let r = root(&mut parent, welded[mesh.triangles[t as usize][0] as usize]);
         let c = *component_of.entry(r).or_insert_with(|| {
-            components.push(Vec::new());
+            components.push_back(Vec::new());
             components.len() - 1
         });
         components[c].push(t);
     }
     let mut pieces: Vec<Vec<u32>> = Vec::new();
-    for component in components {
+    while let Some(component) = components.pop_front() {
+        if component.len() > MAX_PIECE_TRIANGLES {
+            let (a, b) = halves(mesh, component);
+            components.push_front(b);
+            components.push_front(a);
+            continue;
+        }
         match pieces.last_mut() {
             Some(last) if last.len() + component.len() <= PIECE_TRIANGLES => last.extend(component),
             _ => pieces.push(component),

@@ -26,6 +26,7 @@ impl Unwrapper for Uvunwrap {
             ..::uvunwrap::MeshInput::new(&positions, mesh.triangles.as_flattened())
         };
         let options = ::uvunwrap::Options {
+            max_chart_area: largest_chart(mesh),
             density: ::uvunwrap::Density::Fixed { texels_per_unit: carrier_density(mesh), page_size: None },
             padding: 1,
             packing: ::uvunwrap::Packing::Fast,
@@ -59,13 +60,25 @@ pub fn silence_unwrapper_panics() {
     }));
 }
 
+/// Charts of more triangles than this are cut: flattening takes more than twice the time for twice the
+/// triangles, and is not stopped inside a chart.
+const CHART_TRIANGLES: f64 = 16_384.0;
+
+/// Largest area of a chart, 0 for any: where triangles are about equal, that of [`CHART_TRIANGLES`].
+fn largest_chart(mesh: &UnwrapInput) -> f32 {
+    let triangles = mesh.triangles.len() as f64;
+    if triangles <= CHART_TRIANGLES { 0.0 } else { (area(mesh) * CHART_TRIANGLES / triangles) as f32 }
+}
+
+fn area(mesh: &UnwrapInput) -> f64 {
+    mesh.triangles.iter().map(|t| surface_area(t.map(|v| mesh.positions[v as usize].as_dvec3()))).sum()
+}
+
 /// Texels per unit of the layout that carries the charts to us.
 fn carrier_density(mesh: &UnwrapInput) -> f32 {
-    let corner = |v: u32| mesh.positions[v as usize].as_dvec3();
-    let area: f64 = mesh.triangles.iter().map(|t| surface_area(t.map(corner))).sum();
     let texels = (mesh.triangles.len() as f64 * TEXELS_PER_TRIANGLE).clamp(65_536.0, 16_777_216.0);
     // The longest chart, about the mesh's diagonal, must not ask for an endless page either.
-    (texels / area.max(f64::MIN_POSITIVE)).sqrt().min(8192.0) as f32
+    (texels / area(mesh).max(f64::MIN_POSITIVE)).sqrt().min(8192.0) as f32
 }
 
 /// The charts back in the mesh's unit; dropped triangles, which collapse onto a point, without one.
