@@ -1,6 +1,13 @@
 //! Light from beyond the geometry.
 
+use super::texture::MAX_IMAGE_TEXELS;
+use crate::error::{SceneError, Warning};
+use exr::prelude as exr;
+use exr::{ReadChannels, ReadLayers};
 use glam::Vec3;
+use image::ImageDecoder;
+use std::io::Cursor;
+use std::path::Path;
 use std::sync::Arc;
 
 /// Radiance of the surroundings as a function of direction.
@@ -19,4 +26,180 @@ pub enum Sky {
         /// Rotation about +Y [rad]: positive turns the picture counter-clockwise as seen from above.
         rotation: f32,
     },
+}
+
+impl Sky {
+    /// Reads an equirectangular `.hdr` (Radiance) or `.exr` (OpenEXR, first layer with R, G and B) file, told
+    /// apart by their contents. A stored 1.0 is `scale` nit; `rotation` is in degrees about +Y. Values that
+    /// are negative or not finite become 0 and give a warning, as does a picture that is not 2 : 1.
+    ///
+    /// # Errors
+    /// [`SceneError`] names the file and the cure: not readable, neither format, damaged, more than 2^28
+    /// texels, or a `rotation` or `scale` that is not finite (`scale` may not be negative either).
+    pub fn from_file(path: &Path, rotation: f32, scale: f32) -> Result<(Sky, Vec<Warning>), SceneError> {
+        let io = |source| SceneError::Io { path: path.into(), source };
+        if !path.metadata().map_err(io)?.is_file() {
+            let what = "is not a file; give a .hdr or .exr image as the sky".into();
+            return Err(SceneError::Invalid { path: path.into(), what });
+        }
+        Sky::from_bytes(path, &std::fs::read(path).map_err(io)?, rotation, scale)
+    }
+
+    /// The contents of a file; `path` names it in messages.
+    fn from_bytes(path: &Path, bytes: &[u8], rotation: f32, scale: f32) -> Result<(Sky, Vec<Warning>), SceneError> {
+        let invalid = |what: String| SceneError::Invalid { path: path.into(), what };
+        if !rotation.is_finite() || !scale.is_finite() || scale < 0.0 {
+            return Err(invalid(format!(
+                "a sky's rotation ({rotation}) must be a number, its scale ({scale}) one from 0"
+            )));
+        }
+        let picture = if bytes.starts_with(b"#?") {
+            read_hdr(bytes)
+        } else if bytes.starts_with(&[0x76, 0x2f, 0x31, 0x01]) {
+            read_exr(bytes)
+        } else {
+            Err("is neither a .hdr nor a .exr image".into())
+        };
+        let Picture { width, height, mut radiance } =
+            picture.map_err(|e| invalid(format!("{e}; convert it to an equirectangular .hdr or .exr image")))?;
+
+        let mut warnings = Vec::new();
+        let mut mended = 0;
+        for texel in &mut radiance {
+            let scaled = *texel * scale;
+            if !scaled.is_finite() || scaled.min_element() < 0.0 {
+                mended += 1;
+            }
+            *texel = Vec3::from(scaled.to_array().map(|c| if c.is_finite() { c.max(0.0) } else { 0.0 }));
+        }
+        let file = path.display();
+        if mended > 0 {
+            let message = format!("{file}: {mended} texels of the sky are negative or not finite and taken as 0");
+            warnings.push(Warning::new("sky-values", message));
+        }
+        if width != 2 * height {
+            let message = format!("{file}: the sky is {width} x {height} texels, not twice as wide as high");
+            warnings.push(Warning::new("sky-shape", message));
+        }
+        Ok((Sky::Image { width, height, radiance: radiance.into(), rotation: rotation.to_radians() }, warnings))
+    }
+}
+
+/// A decoded image, row-major from the top.
+struct Picture {
+    width: usize,
+    height: usize,
+    radiance: Vec<Vec3>,
+}
+
+/// The size of an image, if it is one that may be decoded.
+fn check_size(width: usize, height: usize) -> Result<(), String> {
+    let texels = (width as u64).checked_mul(height as u64);
+    match texels {
+        Some(1..=MAX_IMAGE_TEXELS) => Ok(()),
+        _ => Err(format!("has {width} x {height} texels, outside 1 to {MAX_IMAGE_TEXELS}")),
+    }
+}
+
+fn read_hdr(bytes: &[u8]) -> Result<Picture, String> {
+    let damaged = |e: image::ImageError| format!("is damaged ({e})");
+    let decoder = image::codecs::hdr::HdrDecoder::new(Cursor::new(bytes)).map_err(damaged)?;
+    let (width, height) = decoder.dimensions();
+    check_size(width as usize, height as usize)?;
+    // The header's EXPOSURE has already been multiplied into the values.
+    let exposure = decoder.metadata().exposure.filter(|e| e.is_finite() && *e > 0.0).unwrap_or(1.0);
+    let picture = image::DynamicImage::from_decoder(decoder).map_err(damaged)?.into_rgb32f();
+    let radiance = picture.pixels().map(|p| Vec3::from(p.0) / exposure).collect();
+    Ok(Picture { width: width as usize, height: height as usize, radiance })
+}
+
+fn read_exr(bytes: &[u8]) -> Result<Picture, String> {
+    let damaged = |e: exr::Error| format!("is damaged or has no R, G and B ({e})");
+    let meta = exr::MetaData::read_from_buffered(Cursor::new(bytes), false).map_err(damaged)?;
+    for header in &meta.headers {
+        check_size(header.layer_size.width(), header.layer_size.height())?;
+    }
+    let image = exr::read()
+        .no_deep_data()
+        .largest_resolution_level()
+        .rgb_channels(
+            |size, _| Picture {
+                width: size.width(),
+                height: size.height(),
+                radiance: vec![Vec3::ZERO; size.width() * size.height()],
+            },
+            |picture: &mut Picture, at, (r, g, b): (f32, f32, f32)| {
+                picture.radiance[at.y() * picture.width + at.x()] = Vec3::new(r, g, b);
+            },
+        )
+        .first_valid_layer()
+        .all_attributes()
+        .from_buffered(Cursor::new(bytes))
+        .map_err(damaged)?;
+    Ok(image.layer_data.channel_data.pixels)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn load(name: &str, bytes: &[u8]) -> Result<(Sky, Vec<Warning>), SceneError> {
+        Sky::from_bytes(Path::new(name), bytes, 90.0, 2.0)
+    }
+
+    fn exr_bytes(texel: [f32; 3]) -> Vec<u8> {
+        let mut bytes = Cursor::new(Vec::new());
+        let channels = exr::SpecificChannels::rgb(move |at: exr::Vec2<usize>| {
+            let [r, g, b] = if at.x() == 0 { texel } else { [1.0, 2.0, 3.0] };
+            (r, g, b)
+        });
+        exr::WritableImage::write(&exr::Image::from_channels((4, 2), channels)).to_buffered(&mut bytes).unwrap();
+        bytes.into_inner()
+    }
+
+    fn hdr_bytes() -> Vec<u8> {
+        let mut bytes = b"#?RADIANCE\nFORMAT=32-bit_rle_rgbe\nEXPOSURE=4\n\n-Y 2 +X 4\n".to_vec();
+        // 128 * 2^(131 - 136) = 4 in each channel.
+        bytes.extend([128, 128, 128, 131].repeat(8));
+        bytes
+    }
+
+    #[test]
+    fn exr_values_are_scaled_and_mended() {
+        let (Sky::Image { width, height, radiance, rotation }, warnings) =
+            load("s.exr", &exr_bytes([f32::NAN, -1.0, 5.0])).unwrap()
+        else {
+            panic!("an image")
+        };
+        assert_eq!((width, height), (4, 2));
+        assert_eq!(radiance[0], Vec3::new(0.0, 0.0, 10.0));
+        assert_eq!(radiance[5], Vec3::new(2.0, 4.0, 6.0));
+        assert_eq!(rotation, std::f32::consts::FRAC_PI_2);
+        assert_eq!(warnings.iter().map(|w| w.code).collect::<Vec<_>>(), ["sky-values"]);
+    }
+
+    #[test]
+    fn hdr_exposure_is_taken_back() {
+        let (sky, warnings) = load("s.hdr", &hdr_bytes()).unwrap();
+        let Sky::Image { radiance, .. } = sky else { panic!("an image") };
+        assert_eq!(radiance[3], Vec3::splat(4.0 / 4.0 * 2.0));
+        assert!(warnings.is_empty());
+    }
+
+    #[test]
+    fn damage_is_an_error() {
+        for good in [exr_bytes([1.0; 3]), hdr_bytes()] {
+            for cut in 0..good.len() {
+                let _ = load("s", &good[..cut]);
+                let mut bad = good.clone();
+                for flip in [0x01, 0x80, 0xff] {
+                    bad[cut] = good[cut] ^ flip;
+                    let _ = load("s", &bad);
+                }
+            }
+        }
+        let huge = b"#?RADIANCE\nFORMAT=32-bit_rle_rgbe\n\n-Y 2000000000 +X 2000000000\n";
+        assert!(load("s.hdr", huge).unwrap_err().to_string().contains("texels"));
+        assert!(load("s.hdr", b"hello").is_err());
+    }
 }

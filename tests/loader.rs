@@ -1,0 +1,392 @@
+//! The loader against good, odd and damaged files: a scene or an error that names its cause, never a panic.
+
+// A test says on standard error what it skipped.
+#![allow(clippy::print_stderr)]
+
+mod common;
+
+use common::glb::SceneBuilder;
+use evenlight::Scene;
+use evenlight::scene::{Alpha, BakeMode, LightKind, Projection, Sky, Wrap};
+use glam::{DVec3, Vec2, Vec3};
+use serde_json::{Value, json};
+use std::path::{Path, PathBuf};
+use std::time::{Duration, Instant};
+
+const FLOOR: [[f32; 3]; 4] = [[-1.0, 0.0, 1.0], [1.0, 0.0, 1.0], [1.0, 0.0, -1.0], [-1.0, 0.0, -1.0]];
+
+fn load_bytes(name: &str, bytes: &[u8]) -> Result<Scene, evenlight::SceneError> {
+    evenlight::scene::gltf::load_bytes(Path::new(name), bytes)
+}
+
+fn load(builder: SceneBuilder) -> Scene {
+    load_bytes("test.glb", &builder.glb()).expect("the scene is good")
+}
+
+fn codes(scene: &Scene) -> Vec<&str> {
+    scene.warnings.iter().map(|w| w.code).collect()
+}
+
+/// A scene with one of everything.
+fn everything() -> SceneBuilder {
+    let mut builder = SceneBuilder::new()
+        .material("grey", [0.5; 3])
+        .quad("floor", FLOOR)
+        .extras(json!({"weight": 2.0, "density": 0.5}))
+        .emitter("lamp", [0.0; 3], [17.0, 12.0, 4.0])
+        .cuboid("block", [-0.5; 3], [0.5; 3])
+        .instance("mirrored")
+        .with("scale", json!([-1, 2, 3]))
+        .with("rotation", json!([0.0, 0.6, 0.0, 0.8]))
+        .point_light("bulb", [0.0, 1.0, 0.0], [100.0, 50.0, 25.0])
+        .spot_light("spot", [0.0, 2.0, 0.0], [0.0, -1.0, 0.0], [300.0; 3], 0.2, 0.5)
+        .sun("sun", [1.0, -1.0, 0.0], [1000.0; 3])
+        .extras(json!({"bake": "indirect"}))
+        .camera("eye", [0.0, 1.0, 5.0], [0.0, 0.0, -1.0], 0.8)
+        .sky([1.0, 2.0, 3.0]);
+    let texture = builder.texture(&png(), "image/png");
+    builder
+        .patch(|json| json["samplers"] = json!([{"wrapS": 33071, "wrapT": 33648, "magFilter": 9728}]))
+        .patch(|json| json["textures"][0]["sampler"] = json!(0))
+        .material_json(json!({"name": "glass", "alphaMode": "MASK", "alphaCutoff": 0.25, "doubleSided": true,
+            "emissiveTexture": {"index": texture, "texCoord": 0},
+            "pbrMetallicRoughness": {"metallicFactor": 0, "baseColorTexture": {"index": texture, "extensions":
+                {"KHR_texture_transform": {"offset": [0.5, 0], "scale": [2, 2]}}}},
+            "extensions": {"KHR_materials_transmission": {"transmissionFactor": 0.5}}}))
+        .quad("pane", FLOOR)
+}
+
+fn png() -> Vec<u8> {
+    let mut bytes = std::io::Cursor::new(Vec::new());
+    image::RgbaImage::from_pixel(2, 2, image::Rgba([255, 0, 0, 255]))
+        .write_to(&mut bytes, image::ImageFormat::Png)
+        .expect("a PNG can be written to memory");
+    bytes.into_inner()
+}
+
+#[test]
+fn a_scene_with_everything() {
+    let scene = load(everything());
+    assert_eq!(codes(&scene), [""; 0]);
+    assert_eq!(scene.triangle_count(), 2 + 12 + 12 + 2);
+    let names: Vec<&str> = scene.instances.iter().map(|i| i.name.as_str()).collect();
+    assert_eq!(names, ["floor", "block", "mirrored", "pane"]);
+    assert_eq!((scene.instances[0].weight, scene.instances[0].density), (2.0, 0.5));
+    assert!(scene.instances[2].world_from_object.matrix3.determinant() < 0.0);
+    assert_eq!(scene.materials.len(), 4, "three and the default");
+    assert!(scene.materials[1].emission.distance(Vec3::new(17.0, 12.0, 4.0)) < 1e-4);
+    let glass = &scene.materials[2];
+    assert_eq!((glass.alpha, glass.transmission, glass.double_sided), (Alpha::Mask { cutoff: 0.25 }, 0.5, true));
+    let reference = glass.base_color_texture.expect("a texture");
+    assert_eq!(reference.transform.transform_point2(Vec2::ONE), Vec2::new(2.5, 2.0));
+    let texture = &scene.textures[reference.texture];
+    assert_eq!((texture.wrap, texture.nearest), ([Wrap::Clamp, Wrap::Mirror], true));
+    assert_eq!(texture.decode_error(), None);
+
+    let [bulb, spot, sun] = &scene.lights[..] else { panic!("three lights") };
+    assert_eq!((bulb.kind, bulb.position), (LightKind::Point, DVec3::Y));
+    assert!(bulb.intensity.distance(Vec3::new(100.0, 50.0, 25.0)) < 1e-3);
+    assert!(spot.direction.distance(Vec3::NEG_Y) < 1e-6);
+    assert!(matches!(spot.kind, LightKind::Spot { inner, outer } if inner == 0.2 && outer == 0.5));
+    assert!(sun.direction.distance(Vec3::new(1.0, -1.0, 0.0).normalize()) < 1e-6);
+    assert_eq!((bulb.bake, sun.bake), (BakeMode::Full, BakeMode::Indirect));
+    let eye = &scene.cameras[0];
+    assert!(eye.forward.distance(Vec3::NEG_Z) < 1e-6 && eye.up.distance(Vec3::Y) < 1e-6);
+    assert!(matches!(eye.projection, Projection::Perspective { vertical_fov, .. } if vertical_fov == 0.8));
+    assert!(matches!(scene.sky, Some(Sky::Constant(c)) if c == Vec3::new(1.0, 2.0, 3.0)));
+}
+
+#[test]
+fn glb_and_gltf_hold_the_same_scene() {
+    let glb = load(everything());
+    let gltf = load_bytes("test.gltf", everything().gltf().as_bytes()).expect("the scene is good");
+    assert_eq!(glb.source.buffers, gltf.source.buffers);
+    assert_eq!(glb.meshes[0].primitives[0].positions, gltf.meshes[0].primitives[0].positions);
+    let text = format!("\u{feff}{}", everything().gltf());
+    let with_mark = load_bytes("test.gltf", text.as_bytes()).expect("a byte order mark is no error");
+    assert_eq!(codes(&with_mark), ["byte-order-mark"]);
+}
+
+#[test]
+fn unknown_properties_stay_in_the_document() {
+    let scene = load(everything().patch(|json| json["nodes"][0]["strange"] = json!({"b": 1, "a": [2]})));
+    assert_eq!(scene.source.json["nodes"][0]["strange"].to_string(), r#"{"b":1,"a":[2]}"#);
+}
+
+#[test]
+fn files_beside_the_scene() {
+    let folder = tempfile::tempdir().expect("a temporary folder");
+    let at = |name: &str| folder.path().join(name);
+    std::fs::create_dir(at("sub folder")).expect("the folder can be written");
+    let mut json: Value = serde_json::from_str(&everything().gltf()).expect("JSON");
+    let data = load(everything()).source.buffers.remove(0);
+    std::fs::write(at("sub folder/da ta.bin"), &data).expect("the folder can be written");
+    std::fs::write(at("100%.png"), png()).expect("the folder can be written");
+    json["images"][0] = json!({"uri": "100%.png"});
+    let mut with = |uri: &str| {
+        json["buffers"][0]["uri"] = json!(uri);
+        std::fs::write(at("scene.gltf"), json.to_string()).expect("the folder can be written");
+        Scene::from_gltf(at("scene.gltf")).map_err(|e| e.to_string())
+    };
+    for good in ["sub%20folder/da%20ta.bin", "sub folder/da ta.bin", "./sub folder/../sub folder\\da ta.bin"] {
+        let scene = with(good).expect(good);
+        assert_eq!(scene.textures[0].decode_error(), None);
+    }
+    for bad in ["../x.bin", "%2e%2e/x.bin", "/etc/hostname", "file:///etc/hostname", "https://a.org/b", "C:\\b"] {
+        let error = with(bad).expect_err(bad);
+        assert!(error.contains("not allowed") && error.contains("buffers[0]"), "{bad}: {error}");
+    }
+    assert!(with("absent.bin").expect_err("no such file").contains("absent.bin"));
+    assert!(with("sub folder").expect_err("a folder").contains("is not a file"));
+}
+
+#[test]
+fn warnings_for_odd_but_usable_scenes() {
+    let quad = || SceneBuilder::new().material("grey", [0.5; 3]).quad("floor", FLOOR);
+    type Change = fn(&mut Value);
+    let cases: [(&str, Change); 9] = [
+        ("no-scene", |j| j.as_object_mut().into_iter().for_each(|o| o.retain(|k, _| !k.starts_with("scene")))),
+        ("metal-by-default", |j| j["materials"][0] = json!({"name": "m"})),
+        ("extension-ignored", |j| j["extensionsUsed"] = json!(["ACME_anything"])),
+        ("morph-targets", |j| j["meshes"][0]["primitives"][0]["targets"] = json!([{"POSITION": 0}])),
+        ("skin", |j| j["nodes"][0]["skin"] = json!(0)),
+        ("odd-transform", |j| j["nodes"][0]["scale"] = json!([0, 0, 1])),
+        ("no-triangles", |j| j["meshes"][0]["primitives"][0]["mode"] = json!(1)),
+        ("attribute-count", |j| j["accessors"][1]["count"] = json!(3)),
+        ("incomplete-triangle", |j| j["accessors"][3]["count"] = json!(5)),
+    ];
+    for (code, change) in cases {
+        let scene = load(quad().patch(change));
+        assert!(codes(&scene).contains(&code), "{code}: {:?}", scene.warnings);
+    }
+}
+
+#[test]
+fn errors_name_object_and_cure() {
+    let quad = || SceneBuilder::new().material("grey", [0.5; 3]).quad("floor", FLOOR);
+    type Change = fn(&mut Value);
+    let cases: [(&str, &str, Change); 10] = [
+        ("nodes[0] 'floor'", "meshes[9]", |j| j["nodes"][0]["mesh"] = json!(9)),
+        ("meshes[0] 'floor'", "materials[7]", |j| j["meshes"][0]["primitives"][0]["material"] = json!(7)),
+        ("meshes[0] 'floor'", "accessors[44]", |j| j["meshes"][0]["primitives"][0]["indices"] = json!(44)),
+        ("accessors[0]", "bufferViews[0]", |j| j["accessors"][0]["count"] = json!(5)),
+        ("bufferViews[0]", "buffers[0]", |j| j["bufferViews"][0]["byteOffset"] = json!(u64::MAX)),
+        ("meshes[0] 'floor'", "index", |j| j["accessors"][0]["count"] = json!(3)),
+        ("ACME_must", "extension", |j| j["extensionsRequired"] = json!(["ACME_must"])),
+        ("KHR_draco", "gltf-transform", |j| j["extensionsRequired"] = json!(["KHR_draco_mesh_compression"])),
+        ("glTF 1.0", "convert", |j| j["asset"]["version"] = json!("1.0")),
+        ("scene", "4", |j| j["scene"] = json!(4)),
+    ];
+    for (object, detail, change) in cases {
+        let error = load_bytes("test.glb", &quad().patch(change).glb()).expect_err(detail).to_string();
+        assert!(error.contains("test.glb") && error.contains(object) && error.contains(detail), "{error}");
+    }
+}
+
+#[test]
+fn a_small_file_cannot_take_all_memory() {
+    let zeros = json!({"componentType": 5126, "type": "VEC3", "count": 1u64 << 40});
+    let error =
+        load_bytes("bomb.glb", &SceneBuilder::new().quad("floor", FLOOR).patch(|j| j["accessors"][0] = zeros).glb());
+    assert!(error.expect_err("too much").to_string().contains("split the scene"));
+    // The same data many times.
+    let many = SceneBuilder::new().quad("floor", FLOOR).patch(|j| {
+        j["accessors"][0] = json!({"componentType": 5126, "type": "VEC3", "count": 1 << 24});
+        let primitive = j["meshes"][0]["primitives"][0].clone();
+        j["meshes"][0]["primitives"] = json!(vec![primitive; 1000]);
+    });
+    let start = Instant::now();
+    assert!(load_bytes("many.glb", &many.glb()).is_err());
+    assert!(start.elapsed() < Duration::from_secs(10));
+}
+
+#[test]
+fn vertices_without_a_place_keep_their_triangles() {
+    let mut corners = FLOOR;
+    corners[3][0] = f32::NAN;
+    let scene = load(SceneBuilder::new().quad("floor", corners).patch(|j| {
+        j["accessors"][0].as_object_mut().into_iter().for_each(|a| a.retain(|k, _| k != "min" && k != "max"));
+    }));
+    let primitive = &scene.meshes[0].primitives[0];
+    assert_eq!(primitive.triangles, [[0, 1, 2], [0, 0, 0]]);
+    assert!(primitive.positions.iter().all(|p| p.is_finite()));
+    assert!(codes(&scene).contains(&"non-finite-position"));
+}
+
+/// Damages good files in many ways; only panics (and hangs) fail.
+#[test]
+fn damaged_files_never_panic() {
+    let attempt = |bytes: &[u8]| {
+        if let Ok(scene) = load_bytes("damaged", bytes) {
+            // What later stages rely on.
+            for primitive in scene.meshes.iter().flat_map(|m| &m.primitives) {
+                let n = primitive.positions.len();
+                assert!(primitive.triangles.iter().flatten().all(|&v| (v as usize) < n));
+                assert!(primitive.normals.is_empty() || primitive.normals.len() == n);
+                assert!(primitive.colors.is_empty() || primitive.colors.len() == n);
+                assert!(primitive.tex_coords.iter().all(|t| t.is_empty() || t.len() == n));
+                assert!(primitive.positions.iter().all(|p| p.is_finite()));
+                assert!(primitive.material < scene.materials.len());
+            }
+            assert!(scene.instances.iter().all(|i| i.mesh < scene.meshes.len()));
+            assert!(scene.instances.iter().all(|i| i.world_from_object.is_finite()));
+        }
+    };
+    let small = SceneBuilder::new().quad("floor", FLOOR).glb();
+    let files = [everything().glb(), everything().gltf().into_bytes(), small];
+    // SplitMix64, fixed seed (Steele, Lea, Flood, Fast splittable pseudorandom number generators, 2014).
+    let mut state = 7u64;
+    let mut random = |n: usize| {
+        state = state.wrapping_add(0x9E37_79B9_7F4A_7C15);
+        let z = (state ^ (state >> 30)).wrapping_mul(0xBF58_476D_1CE4_E5B9);
+        let z = (z ^ (z >> 27)).wrapping_mul(0x94D0_49BB_1331_11EB);
+        ((z ^ (z >> 31)) % n as u64) as usize
+    };
+    for good in &files {
+        for _ in 0..10_000 {
+            let mut bytes = good.clone();
+            for _ in 0..1 + random(4) {
+                let at = random(bytes.len());
+                match random(5) {
+                    0 => bytes[at] ^= 1 << random(8),
+                    1 => bytes[at] = random(256) as u8,
+                    // Most harm is done by numbers that are still numbers.
+                    2 | 3 => {
+                        if let Some(b) = bytes[at..].iter_mut().find(|b| b.is_ascii_digit()) {
+                            *b = b'0' + random(10) as u8;
+                        }
+                    }
+                    _ => {
+                        let end = (at + 1 + random(8)).min(bytes.len());
+                        bytes.drain(at..end);
+                    }
+                }
+                if bytes.is_empty() {
+                    break;
+                }
+            }
+            attempt(&bytes);
+        }
+        for cut in 0..good.len().min(600) {
+            attempt(&good[..cut * good.len() / good.len().min(600)]);
+        }
+    }
+}
+
+/// The folder of real scenes that is not part of this repository, if it is there.
+fn shared() -> Option<PathBuf> {
+    let beside = || PathBuf::from(concat!(env!("CARGO_MANIFEST_DIR"), "/../shared"));
+    let folder = std::env::var_os("EVENLIGHT_SHARED").map_or_else(beside, PathBuf::from).join("scenes");
+    if folder.is_dir() {
+        return Some(folder);
+    }
+    eprintln!("skipped: no folder of shared scenes");
+    None
+}
+
+fn scenes_below(folder: &Path, found: &mut Vec<PathBuf>) {
+    let mut entries: Vec<PathBuf> =
+        std::fs::read_dir(folder).into_iter().flatten().flatten().map(|e| e.path()).collect();
+    entries.sort();
+    for path in entries {
+        if path.is_dir() {
+            scenes_below(&path, found);
+        } else if path.extension().is_some_and(|e| e == "glb" || e == "gltf") {
+            found.push(path);
+        }
+    }
+}
+
+#[test]
+fn every_shared_file_loads_or_says_why() {
+    let Some(folder) = shared() else { return };
+    let mut files = Vec::new();
+    scenes_below(&folder, &mut files);
+    assert!(files.len() > 100, "{} files", files.len());
+    for file in files {
+        let start = Instant::now();
+        let result = Scene::from_gltf(&file);
+        let seconds = start.elapsed().as_secs_f64();
+        assert!(seconds < 10.0, "{}: {seconds} s", file.display());
+        if std::env::var_os("EVENLIGHT_TABLE").is_some() {
+            let name = file.strip_prefix(&folder).unwrap_or(&file).display();
+            match result {
+                Ok(s) => {
+                    eprintln!("{name} | {} tri | {seconds:.2} s", s.triangle_count());
+                    s.warnings.iter().for_each(|w| eprintln!("    {}: {}", w.code, w.message));
+                }
+                Err(e) => eprintln!("{name} | ERROR {e}"),
+            }
+        }
+    }
+}
+
+/// Triangle counts as an independent reader found them.
+#[test]
+fn shared_files_hold_what_they_should() {
+    let Some(folder) = shared() else { return };
+    for (file, triangles) in [
+        ("cornell-box.glb", 36),
+        ("veach-ajar.glb", 4_484),
+        ("modern-hall.glb", 28_655),
+        ("living-room-2.glb", 400_378),
+        ("classroom.glb", 103_830),
+        ("breakfast-room.glb", 269_538),
+        ("country-kitchen.glb", 1_021_596),
+        ("lux-kitchen.glb", 82_742),
+        ("map-complex.glb", 12_368),
+        ("gazebo.glb", 730),
+        ("medieval-building.glb", 16_603),
+        ("godot-room.glb", 63_720),
+        ("godot-living_room.glb", 5_088),
+        ("bevy-CornellBox.glb", 36),
+        ("bevy-MixedLightingExample.glb", 40_898),
+        ("r3l-tile-game-room6.glb", 88),
+        ("loader/khr_2CylinderEngine.glb", 121_496),
+        ("loader/khr_SimpleSparseAccessor.glb", 12),
+        ("loader/khr_RiggedSimple.glb", 188),
+        ("loader/gen_house_quantized_uv1.glb", 10_497),
+        ("loader/gen_veach-bidir_quantized.glb", 11_544),
+        ("loader/bio_02_shared_mesh.glb", 24),
+        ("loader/external-uri/CubeImageUriSpaces/CubeImageUriMultipleSpaces.gltf", 12),
+        ("loader/external-uri/CubeImageUriSpaces/CubeImageUriSpaces.gltf", 12),
+    ] {
+        let scene = Scene::from_gltf(folder.join(file)).unwrap_or_else(|e| panic!("{e}"));
+        assert_eq!(scene.triangle_count(), triangles, "{file}");
+        let undecoded: Vec<String> = scene.textures.iter().filter_map(|t| t.decode_error()).collect();
+        assert!(undecoded.is_empty(), "{file}: {undecoded:?}");
+    }
+    // Strips and fans cover the same square as the list, from the same side.
+    let area_vector = |file: &str| {
+        let scene = Scene::from_gltf(folder.join(file)).unwrap_or_else(|e| panic!("{e}"));
+        let p = &scene.meshes[0].primitives[0];
+        let corners = p.triangles.iter().map(|t| t.map(|v| p.positions[v as usize]));
+        corners.map(|[a, b, c]| (b - a).cross(c - a) * 0.5).sum::<Vec3>()
+    };
+    let list = area_vector("loader/ag_Mesh_PrimitiveMode_06.glb");
+    for mode in ["07", "08", "10", "11", "12"] {
+        let file = format!("loader/ag_Mesh_PrimitiveMode_{mode}.glb");
+        if Scene::from_gltf(folder.join(&file)).is_ok_and(|s| s.triangle_count() > 0) {
+            assert!(area_vector(&file).distance(list) < 1e-6, "{file}");
+        }
+    }
+    for (file, extension) in [
+        ("loader/assimp_2CylinderEngine_draco.glb", "KHR_draco_mesh_compression"),
+        ("loader/pc_heart_draco.glb", "KHR_draco_mesh_compression"),
+        ("loader/gen_veach-bidir_meshopt.glb", "EXT_meshopt_compression"),
+    ] {
+        let error = Scene::from_gltf(folder.join(file)).map(|_| ()).expect_err(file).to_string();
+        assert!(error.contains(extension), "{error}");
+    }
+    assert_eq!(Scene::from_gltf(folder.join("loader/pc_Lights.glb")).map(|s| s.lights.len()).ok(), Some(4));
+}
+
+#[test]
+fn shared_sky_loads() {
+    let Some(folder) = shared() else { return };
+    let (sky, warnings) =
+        Sky::from_file(&folder.join("env/kloofendal_48d_partly_cloudy_1k.hdr"), 0.0, 1.0).expect("a good file");
+    let Sky::Image { width, height, radiance, .. } = sky else { panic!("an image") };
+    assert_eq!((width, height, radiance.len()), (1024, 512, 1024 * 512));
+    assert!(warnings.is_empty());
+}
