@@ -245,7 +245,8 @@ fn verify(scene: &Scene, atlas: &Atlas, options: &BakeOptions) -> f64 {
 fn texels_of(t: &[DVec2; 3]) -> Vec<(i64, i64)> {
     const EPS: f64 = 1e-3;
     let (lo, hi) = (t[0].min(t[1]).min(t[2]), t[0].max(t[1]).max(t[2]));
-    let range = |a: f64, b: f64| (a + EPS).floor() as i64..=((b - EPS).floor() as i64).max((a + EPS).floor() as i64);
+    // Empty for slivers thinner than the rounding: they may lie on either side of a texel's edge.
+    let range = |a: f64, b: f64| (a + EPS).floor() as i64..(b - EPS).ceil() as i64;
     let mut texels = vec![];
     for y in range(lo.y, hi.y) {
         // Clip to the row.
@@ -516,8 +517,8 @@ struct Unreliable;
 impl unwrap::Unwrapper for Unreliable {
     fn unwrap(&self, mesh: &UnwrapInput, _: Limits<'_>) -> Result<Unwrapped, UnwrapError> {
         match mesh.triangles.len() {
-            n if n > 600 => Err(UnwrapError::Crashed("by design".into())),
-            n if n > 300 => Err(UnwrapError::TimedOut(1)),
+            n if n > 1500 => Err(UnwrapError::TimedOut(1)),
+            n if n > 300 => Err(UnwrapError::Crashed("by design".into())),
             n => {
                 // Everything in one chart, projected on a plane: full of overlaps.
                 let vertices = mesh.positions.iter().enumerate();
@@ -541,7 +542,7 @@ fn every_failure_of_an_unwrapper_is_worked_around() {
     };
     let limits = Limits { time: std::time::Duration::from_secs(9), cancelled: &|| false };
     let (unwrapped, warnings) = unwrap::unwrap_mesh(&mesh, &Unreliable, limits).expect("a way around");
-    assert!(has(&warnings, "unwrapper-crashed") && has(&warnings, "unwrapper-faulty"), "{warnings:?}");
+    assert!(has(&warnings, "unwrapper-timed-out") && has(&warnings, "unwrapper-faulty"), "{warnings:?}");
     let mut charts = vec![vec![]; unwrapped.chart_count as usize];
     for (k, t) in unwrapped.triangles.iter().enumerate() {
         let c = mesh.triangles[k].map(|v| mesh.positions[v as usize]);
