@@ -149,6 +149,7 @@ fn light_passes_masks_blends_and_glass_and_culled_backs() {
             &atlas(&scene),
             &lightmap(&[0.0, 1.0]),
             &camera(),
+            scene.sky.as_ref(),
             &RenderSettings { width: 8, height: 8, mark_unmapped: false },
         );
         pixel(&image, 4, 4)[0]
@@ -183,7 +184,8 @@ fn surfaces_without_a_map_have_the_mean_light_or_are_marked() {
     atlas.placements[0] = None;
     let shown = |mark_unmapped: bool| {
         let settings = RenderSettings { mark_unmapped, ..SMALL };
-        let image = render(&world, &|ray| accel.closest(ray), &atlas, &lightmap(&[2.0, 2.0]), &camera(), &settings);
+        let image =
+            render(&world, &|ray| accel.closest(ray), &atlas, &lightmap(&[2.0, 2.0]), &camera(), None, &settings);
         (pixel(&image, 8, 8), pixel(&image, 1, 1))
     };
     let (unmapped, mapped) = shown(false);
