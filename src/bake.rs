@@ -40,11 +40,7 @@ pub struct Bake<'s> {
 ///
 /// # Errors
 /// [`BakeError`] names the object and the cure.
-pub fn bake<'s>(
-    scene: &'s Scene,
-    options: &BakeOptions,
-    observer: &mut (dyn Observer + Send),
-) -> Result<Bake<'s>, BakeError> {
+pub fn bake<'s>(scene: &'s Scene, options: &BakeOptions, observer: &mut dyn Observer) -> Result<Bake<'s>, BakeError> {
     options.validate()?;
     let pool = rayon::ThreadPoolBuilder::new()
         .num_threads(options.threads)
@@ -53,17 +49,13 @@ pub fn bake<'s>(
     pool.install(|| bake_here(scene, options, observer))
 }
 
-fn bake_here<'s>(
-    scene: &'s Scene,
-    options: &BakeOptions,
-    observer: &mut (dyn Observer + Send),
-) -> Result<Bake<'s>, BakeError> {
+fn bake_here<'s>(scene: &'s Scene, options: &BakeOptions, observer: &mut dyn Observer) -> Result<Bake<'s>, BakeError> {
     let mut clock = Clock::new();
     let mut seconds = Seconds::default();
     let lighting = Lighting::new(scene, options)?;
 
     observer.stage(Stage::Unwrap);
-    let atlas = atlas::build(scene, options)?;
+    let atlas = atlas::build(scene, options, &|| observer.cancelled())?;
     seconds.atlas = clock.lap();
 
     observer.stage(Stage::Prepare);
@@ -78,7 +70,7 @@ fn bake_here<'s>(
         Emitters::new(&world, &lighting, LightSettings { indirect_only: options.lights == Lights::Indirect });
     let (open, probe_rays) = match options.texel_value {
         TexelValue::Mean => (vec![1.0; texels.mapped], 0),
-        TexelValue::Fit => open_shares(&texels, &visibility, options.seed),
+        TexelValue::Open => open_shares(&texels, &visibility, options.seed),
     };
     seconds.open = clock.lap();
 
@@ -175,6 +167,7 @@ fn report(
         },
         skips: Vec::new(),
         warnings,
+        peak_memory_bytes: None,
         seconds: Seconds::default(),
     };
     report.set_texel_error(&solution.error);

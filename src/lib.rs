@@ -11,23 +11,27 @@
 //! ```
 //!
 //! Units: metres, candela, lux, nit as glTF defines them; colours are linear Rec. 709. A texel holds the mean
-//! irradiance E [lux] of the surface mapped to it.
+//! irradiance E (lux) of the surface mapped to it.
 
-pub mod accel;
-pub mod accuracy;
-pub mod atlas;
+#![warn(clippy::print_stdout, clippy::print_stderr)]
+
 pub mod bake;
-pub mod error;
+
+pub mod scene;
+pub mod atlas;
+pub mod accel;
 pub mod light;
+pub mod photon;
+pub mod accuracy;
+pub mod solve;
 pub mod lightmap;
+pub mod output;
+
+pub mod error;
 pub mod observer;
 pub mod options;
-pub mod output;
-pub mod photon;
 pub mod report;
 pub mod sampling;
-pub mod scene;
-pub mod solve;
 
 pub use bake::{Bake, bake};
 pub use error::{BakeError, SceneError, Warning};

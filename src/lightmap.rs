@@ -18,7 +18,7 @@ pub struct LightmapPage {
     pub width: u32,
     /// Height in texels.
     pub height: u32,
-    /// Irradiance E [lux], linear Rec. 709 RGB, as stored: texels without coverage filled by
+    /// Irradiance E, lux, linear Rec. 709 RGB, as stored: texels without coverage filled by
     /// [`fill_gutters`].
     pub irradiance: Vec<[f32; 3]>,
     /// Half the difference of the two halves, (E_odd - E_even) / 2 [lux]: as noisy as E itself.

@@ -1,7 +1,9 @@
 //! The command line: thin.
 
-// Until the commands are wired.
-#[allow(dead_code)]
 mod cli;
 
-fn main() {}
+use std::process::ExitCode;
+
+fn main() -> ExitCode {
+    cli::run()
+}

@@ -1,7 +1,6 @@
 //! How a bake is watched and stopped.
 
 use crate::error::Warning;
-use std::ops::ControlFlow;
 
 /// Stages of a bake, in order.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -34,13 +33,16 @@ pub struct Progress {
 }
 
 /// Watches a bake.
-pub trait Observer {
+pub trait Observer: Send + Sync {
     /// A stage begins.
     fn stage(&mut self, _stage: Stage) {}
 
-    /// Called between units of work; `Break` cancels the bake.
-    fn progress(&mut self, _progress: &Progress) -> ControlFlow<()> {
-        ControlFlow::Continue(())
+    /// Called between units of work.
+    fn progress(&mut self, _progress: &Progress) {}
+
+    /// Asked often, from any thread: true ends the bake with [`BakeError::Cancelled`](crate::BakeError).
+    fn cancelled(&self) -> bool {
+        false
     }
 
     /// Something is odd but usable.

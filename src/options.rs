@@ -43,7 +43,7 @@ pub struct BakeOptions {
     pub normals: Normals,
     /// Which side of a double-sided surface is stored. Default: automatic.
     pub double_sided: DoubleSided,
-    /// What a stored texel is. Default: fitted for bilinear filtering.
+    /// What a stored texel is. Default: the mean over its open part.
     pub texel_value: TexelValue,
     /// What the maps hold. Default: irradiance over pi.
     pub quantity: Quantity,
@@ -78,7 +78,7 @@ impl Default for BakeOptions {
             lights: Lights::All,
             normals: Normals::Smooth,
             double_sided: DoubleSided::Auto,
-            texel_value: TexelValue::Fit,
+            texel_value: TexelValue::Open,
             quantity: Quantity::IrradianceOverPi,
             only: Vec::new(),
             exclude: Vec::new(),
@@ -172,9 +172,9 @@ pub enum DoubleSided {
 /// What a stored texel is.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum TexelValue {
-    /// Fitted so that bilinear filtering shows the light well.
-    Fit,
-    /// The mean over the texel's footprint, buried area included.
+    /// The mean over the part of the texel's footprint that is not buried in solids.
+    Open,
+    /// The mean over the whole footprint, buried area included: for comparison with other renderers.
     Mean,
 }
 

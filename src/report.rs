@@ -65,7 +65,9 @@ pub struct Report {
     pub skips: Vec<String>,
     /// What is odd but usable.
     pub warnings: Vec<Warning>,
-    /// Seconds per stage: the only part that differs between runs.
+    /// Largest memory of the process so far [bytes], where the system tells.
+    pub peak_memory_bytes: Option<u64>,
+    /// Seconds per stage: with the memory the only part that differs between runs.
     pub seconds: Seconds,
 }
 

@@ -238,7 +238,8 @@ impl Solver<'_, '_> {
                 self.last,
                 self.seconds[0] + self.seconds[1] + started.elapsed().as_secs_f64(),
             );
-            if self.observer.progress(&progress).is_break() {
+            self.observer.progress(&progress);
+            if self.observer.cancelled() {
                 return Err(BakeError::Cancelled);
             }
         }
@@ -259,7 +260,8 @@ impl Solver<'_, '_> {
 
     fn report_progress(&mut self) -> Result<(), BakeError> {
         let p = progress(self.began, self.options, self.rays(), self.last, self.seconds[0] + self.seconds[1]);
-        if self.observer.progress(&p).is_break() { Err(BakeError::Cancelled) } else { Ok(()) }
+        self.observer.progress(&p);
+        if self.observer.cancelled() { Err(BakeError::Cancelled) } else { Ok(()) }
     }
 
     /// Rays per direct sample (of all texels and both halves), and per photon of each half.

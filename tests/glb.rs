@@ -4,7 +4,11 @@
 mod glb_reader;
 
 use evenlight::atlas::{Atlas, MeshLayout, Page, Placement, PrimitiveLayout};
+use evenlight::light::Lighting;
+use evenlight::lightmap::{Lightmap, LightmapPage};
+use evenlight::options::{Lights, Quantity};
 use evenlight::output::glb::{GlbInfo, GlbOptions, write};
+use evenlight::output::manifest::{BakedPart, Manifest, ManifestInputs};
 use evenlight::scene::gltf::Document;
 use evenlight::scene::{BakeMode, Instance, Light, LightKind, Mesh, Primitive, Scene};
 use glam::{DAffine3, DVec3, Vec2, Vec3};
@@ -488,6 +492,29 @@ fn nodes_know_their_place_and_keep_their_extras() {
 }
 
 #[test]
+fn the_manifest_names_every_baked_node_and_can_be_read_back() {
+    let document = fixture();
+    let scene = scene_of(&document);
+    let atlas = atlas_of(&Parsed { json: document.json.clone(), buffers: document.buffers.clone() }, &scene, false);
+    let page = LightmapPage { width: 2, height: 1, coverage: vec![1.0, 0.5], ..Default::default() };
+    let inputs = ManifestInputs { error_percent: vec![Some(1.5)], ..Default::default() };
+    let quantity = Quantity::IrradianceOverPi;
+    let lighting = Lighting::new(&scene, &Default::default()).unwrap();
+    let map = Lightmap { pages: vec![page] };
+    let manifest = Manifest::new(&scene, &atlas, &map, quantity, &lighting, Lights::Indirect, &inputs);
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("lightmap.json");
+    manifest.write(&path).unwrap();
+    let back: Manifest = serde_json::from_slice(&std::fs::read(path).unwrap()).unwrap();
+    assert_eq!(back, manifest);
+    assert_eq!(manifest.nodes.len(), scene.instances.len() - 1);
+    assert_eq!(manifest.nodes[0].error_percent, Some(1.5));
+    assert_eq!(manifest.nodes[8].rect, [0.5625, 0.0625, 0.0625, 0.25]);
+    assert_eq!((manifest.pages[0].coverage, manifest.unit.as_str()), (0.75, "cd/m2"));
+    assert_eq!(manifest.lights[0].bake, BakedPart::Indirect);
+}
+
+#[test]
 fn images_beside_the_document_are_taken_in() {
     let w = write_fixture(true, &GlbOptions::default());
     assert_eq!(w.info.embedded_images, 1);
@@ -504,7 +531,7 @@ fn images_beside_the_document_are_taken_in() {
 #[test]
 fn baked_lights_go_on_request() {
     let document = fixture();
-    let nodes = evenlight::output::glb::fully_baked_lights(&scene_of(&document), evenlight::options::Lights::All);
+    let nodes = evenlight::output::glb::fully_baked_lights(&scene_of(&document), Lights::All);
     let w = write_fixture(true, &GlbOptions { remove_baked_lights: nodes });
     assert_eq!(w.info.removed_lights, 1);
     assert!(w.after.json.get("extensions").is_none());

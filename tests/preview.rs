@@ -92,7 +92,15 @@ fn lightmap(irradiance: &[f32]) -> Lightmap {
 fn picture(scene: &Scene, irradiance: &[f32], camera: &Camera, settings: &RenderSettings) -> RgbImage {
     let world = World::new(scene);
     let accel = Accel::build(&world.positions, |t| world.flags[t as usize].has(SurfaceFlags::DEGENERATE));
-    render(&world, &|ray| accel.closest(ray), &atlas(scene), &lightmap(irradiance), camera, settings)
+    render(
+        &world,
+        &|ray| accel.closest(ray),
+        &atlas(scene),
+        &lightmap(irradiance),
+        camera,
+        scene.sky.as_ref(),
+        settings,
+    )
 }
 
 /// Looks along -Z from z = 4; the squares above fill the middle.
@@ -141,6 +149,7 @@ fn light_passes_masks_blends_and_glass_and_culled_backs() {
             &atlas(&scene),
             &lightmap(&[0.0, 1.0]),
             &camera(),
+            scene.sky.as_ref(),
             &RenderSettings { width: 8, height: 8, mark_unmapped: false },
         );
         pixel(&image, 4, 4)[0]
@@ -175,7 +184,8 @@ fn surfaces_without_a_map_have_the_mean_light_or_are_marked() {
     atlas.placements[0] = None;
     let shown = |mark_unmapped: bool| {
         let settings = RenderSettings { mark_unmapped, ..SMALL };
-        let image = render(&world, &|ray| accel.closest(ray), &atlas, &lightmap(&[2.0, 2.0]), &camera(), &settings);
+        let image =
+            render(&world, &|ray| accel.closest(ray), &atlas, &lightmap(&[2.0, 2.0]), &camera(), None, &settings);
         (pixel(&image, 8, 8), pixel(&image, 1, 1))
     };
     let (unmapped, mapped) = shown(false);

@@ -72,7 +72,7 @@ impl PreparedRay {
             approach(ray.origin, d, extent)?
         };
         let end = (end - start) as f32;
-        if !(end > 0.0) {
+        if end <= 0.0 {
             return None;
         }
 

@@ -4,11 +4,25 @@
 //! coordinates in texels on a page, and [`Texels`], which says for every texel what surface it covers.
 //! Unwrappers are seen only here.
 
+mod chart;
+pub mod check;
+mod density;
+mod keep;
+mod layout;
 mod memory;
+mod pack;
+mod planar;
+mod select;
 mod texels;
+pub mod unwrap;
+mod uvunwrap;
+mod xatlas;
 
+pub use layout::build;
 pub use memory::{check_memory, memory_bytes};
 pub use texels::{NO_TEXEL, Piece, Texel, TexelSampler, Texels};
+pub use uvunwrap::{Uvunwrap, silence_unwrapper_panics};
+pub use xatlas::{WORKER_COMMAND, XatlasWorker, worker_main};
 
 use crate::error::Warning;
 use glam::Vec2;
@@ -96,31 +110,4 @@ impl Atlas {
         let at = p.triangles[r.index as usize].map(|v| placement.origin + p.uvs[v as usize] * placement.size);
         Some((placement.page, at, self.first_chart[r.instance as usize] + chart))
     }
-}
-/// stub
-pub fn build(scene: &crate::scene::Scene, o: &crate::options::BakeOptions) -> Result<Atlas, crate::error::BakeError> {
-    let n = o.max_texture;
-    let mut a =
-        Atlas { pages: vec![Page { width: n, height: n }], texels_per_metre: 10.0, gutter: 2, ..Default::default() };
-    for m in &scene.meshes {
-        let primitives = m
-            .primitives
-            .iter()
-            .map(|p| PrimitiveLayout {
-                source_vertices: (0..p.positions.len() as u32).collect(),
-                uvs: p.tex_coords[1].clone(),
-                triangles: p.triangles.clone(),
-                charts: vec![0; p.triangles.len()],
-            })
-            .collect();
-        a.meshes.push(Some(MeshLayout { primitives, chart_count: 1 }));
-    }
-    let mut c = 0;
-    for i in &scene.instances {
-        a.first_chart.push(c);
-        c += 1;
-        a.placements.push(i.bake.then_some(Placement { page: 0, origin: Vec2::ZERO, size: Vec2::splat(n as f32) }));
-    }
-    a.first_chart.push(c);
-    Ok(a)
 }

@@ -1,3 +1,55 @@
-//! The commands.
+//! The command line: arguments in, exit status out. Progress and messages go to stderr.
+//!
+//! Exit status: 0 targets met; 1 failed; 2 wrong usage; 3 baked and written, but a target was not met.
 
+#![allow(clippy::print_stdout, clippy::print_stderr)]
+
+mod args;
+mod bake;
 pub mod inspect;
+mod terminal;
+
+use clap::Parser;
+use evenlight::{BakeError, Scene};
+use std::process::ExitCode;
+
+/// Baked and written, but a target was not met.
+pub const TARGET_MISSED: u8 = 3;
+
+/// Parses the arguments and runs the command.
+pub fn run() -> ExitCode {
+    let command = args::Cli::parse().command;
+    evenlight::atlas::silence_unwrapper_panics();
+    let result = match command {
+        args::Command::Bake(args) => bake::run(&args),
+        args::Command::Inspect { scene, json } => inspect_scene(&scene, json),
+        args::Command::UnwrapWorker => return ExitCode::from(evenlight::atlas::worker_main() as u8),
+        args::Command::Check { .. } => not_built("check"),
+        args::Command::Plan { .. } => not_built("plan"),
+        args::Command::Merge { .. } => not_built("merge"),
+        args::Command::View { .. } => not_built("view"),
+        args::Command::Selftest => not_built("selftest"),
+    };
+    match result {
+        Ok(status) => ExitCode::from(status),
+        Err(error) => {
+            eprintln!("error: {error}");
+            ExitCode::from(if matches!(error, BakeError::Options(_)) { 2 } else { 1 })
+        }
+    }
+}
+
+fn not_built(what: &str) -> Result<u8, BakeError> {
+    Err(BakeError::Options(format!("`{what}` is not built yet in evenlight {}", env!("CARGO_PKG_VERSION"))))
+}
+
+fn inspect_scene(path: &std::path::Path, json: bool) -> Result<u8, BakeError> {
+    let scene = Scene::from_gltf(path)?;
+    let inspection = inspect::inspect(&scene);
+    if json {
+        println!("{}", serde_json::to_string_pretty(&inspection).unwrap_or_default());
+    } else {
+        print!("{}", inspection.text());
+    }
+    Ok(0)
+}

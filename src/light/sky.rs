@@ -1,6 +1,6 @@
 //! Directions towards the sky.
 
-use crate::scene::Sky;
+use crate::scene::{Sky, sky_pixel};
 use glam::{Vec2, Vec3};
 use std::f64::consts::PI;
 use std::sync::Arc;
@@ -21,7 +21,7 @@ pub struct SkyImage {
     width: usize,
     height: usize,
     radiance: Arc<[Vec3]>,
-    rotation: f64,
+    rotation: f32,
     /// Cumulative brightness of rows, then of the pixels of each row, each normalised to end at 1.
     rows: Vec<f64>,
     columns: Vec<f32>,
@@ -40,7 +40,7 @@ impl SkySampler {
                     width: *width,
                     height: *height,
                     radiance: radiance.clone(),
-                    rotation: f64::from(*rotation),
+                    rotation: *rotation,
                     rows: Vec::with_capacity(*height),
                     columns: Vec::with_capacity(width * height),
                     total: 0.0,
@@ -95,14 +95,8 @@ impl SkyImage {
         band * 2.0 * PI / self.width as f64
     }
 
-    /// Row 0 looks up; the centre column looks along -Z and +X lies to its right.
     fn pixel(&self, w: Vec3) -> usize {
-        let theta = libm::acos(f64::from(w.y).clamp(-1.0, 1.0));
-        let phi = libm::atan2(f64::from(w.x), -f64::from(w.z)) + self.rotation;
-        let u = phi / (2.0 * PI) + 0.5;
-        let x = ((u - u.floor()) * self.width as f64) as usize;
-        let y = (theta / PI * self.height as f64) as usize;
-        y.min(self.height - 1) * self.width + x.min(self.width - 1)
+        sky_pixel(self.width, self.height, self.rotation, w)
     }
 
     /// Direction in proportion to brightness, with its density per solid angle [1/sr].
@@ -120,7 +114,7 @@ impl SkyImage {
         let (c0, c1) = (libm::cos(y as f64 / h * PI), libm::cos((y + 1) as f64 / h * PI));
         let cos_theta = c0 + (c1 - c0) * fy;
         let sin_theta = (1.0 - cos_theta * cos_theta).max(0.0).sqrt();
-        let phi = ((x as f64 + fx) / self.width as f64 - 0.5) * 2.0 * PI - self.rotation;
+        let phi = ((x as f64 + fx) / self.width as f64 - 0.5) * 2.0 * PI - f64::from(self.rotation);
         let (s, c) = libm::sincos(phi);
         let w = Vec3::new((sin_theta * s) as f32, cos_theta as f32, (-sin_theta * c) as f32);
         // The density that belongs to the direction as rounded, so that both strategies weigh it alike.

@@ -7,6 +7,7 @@ use super::lightmap_exr::unit_of;
 use super::{NodeRect, node_rects, write_atomically};
 use crate::atlas::{Atlas, NO_CHART};
 use crate::error::BakeError;
+use crate::light::Lighting;
 use crate::lightmap::Lightmap;
 use crate::options::{Lights, Quantity};
 use crate::scene::{BakeMode, Scene};
@@ -135,6 +136,7 @@ impl Manifest {
         atlas: &Atlas,
         lightmap: &Lightmap,
         quantity: Quantity,
+        lighting: &Lighting,
         lights: Lights,
         inputs: &ManifestInputs,
     ) -> Manifest {
@@ -149,7 +151,7 @@ impl Manifest {
             divided_by_pi: over_pi,
             pages: pages(atlas, lightmap, &inputs.page_files),
             nodes: nodes(scene, atlas, &inputs.error_percent),
-            lights: scene
+            lights: lighting
                 .lights
                 .iter()
                 .map(|light| ManifestLight {
@@ -162,7 +164,7 @@ impl Manifest {
                     },
                 })
                 .collect(),
-            sky_baked: scene.sky.is_some(),
+            sky_baked: lighting.sky.is_some(),
             conventions: conventions(over_pi),
         }
     }

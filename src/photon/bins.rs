@@ -55,9 +55,9 @@ impl DepositSink for Bins<'_> {
                 && (texel as usize) < self.texels.mapped
             {
                 let bin = &self.halves[half][texel as usize];
-                for c in 0..3 {
-                    bin[c].fetch_add(i64::from(d.flux[c]), Relaxed);
-                }
+                bin.iter().zip(d.flux).for_each(|(sum, flux)| {
+                    sum.fetch_add(i64::from(flux), Relaxed);
+                });
             }
         }
     }

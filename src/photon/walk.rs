@@ -115,5 +115,5 @@ fn max(f: [u32; 3]) -> u32 {
 fn scale(flux: [u32; 3], share: Vec3) -> [u32; 3] {
     let one = (1u32 << ALBEDO_BITS) as f32;
     let fixed = (share.clamp(Vec3::ZERO, Vec3::ONE) * one).to_array().map(|s| s as u64);
-    std::array::from_fn(|c| (u64::from(flux[c]) * fixed[c] >> ALBEDO_BITS) as u32)
+    std::array::from_fn(|c| ((u64::from(flux[c]) * fixed[c]) >> ALBEDO_BITS) as u32)
 }

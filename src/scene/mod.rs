@@ -20,6 +20,7 @@ pub use light::{BakeMode, Camera, Light, LightKind, Projection};
 pub use material::{Alpha, Material, TextureRef};
 pub use mesh::{Instance, Mesh, Primitive};
 pub use sky::Sky;
+pub(crate) use sky::sky_pixel;
 pub use texture::{ColorSpace, Texture, Wrap};
 pub use world::{Frame, SurfaceFlags, SurfacePoint, TriangleRef, World};
 

@@ -28,7 +28,26 @@ pub enum Sky {
     },
 }
 
+/// Index of the pixel of an equirectangular image that the unit direction `w` looks at.
+pub(crate) fn sky_pixel(width: usize, height: usize, rotation: f32, w: Vec3) -> usize {
+    use std::f64::consts::PI;
+    let theta = libm::acos(f64::from(w.y).clamp(-1.0, 1.0));
+    let phi = libm::atan2(f64::from(w.x), -f64::from(w.z)) + f64::from(rotation);
+    let u = phi / (2.0 * PI) + 0.5;
+    let x = ((u - u.floor()) * width as f64) as usize;
+    let y = (theta / PI * height as f64) as usize;
+    y.min(height - 1) * width + x.min(width - 1)
+}
+
 impl Sky {
+    /// Radiance [nit] from the unit direction `w`, which points towards the sky.
+    pub fn radiance(&self, w: Vec3) -> Vec3 {
+        match self {
+            Sky::Constant(radiance) => *radiance,
+            Sky::Image { width, height, radiance, rotation } => radiance[sky_pixel(*width, *height, *rotation, w)],
+        }
+    }
+
     /// Reads an equirectangular `.hdr` (Radiance) or `.exr` (OpenEXR, first layer with R, G and B) file, told
     /// apart by their contents. A stored 1.0 is `scale` nit; `rotation` is in degrees about +Y. Values that
     /// are negative or not finite become 0 and give a warning, as does a picture that is not 2 : 1.
@@ -201,5 +220,22 @@ mod tests {
         let huge = b"#?RADIANCE\nFORMAT=32-bit_rle_rgbe\n\n-Y 2000000000 +X 2000000000\n";
         assert!(load("s.hdr", huge).unwrap_err().to_string().contains("texels"));
         assert!(load("s.hdr", b"hello").is_err());
+    }
+
+    #[test]
+    fn the_sky_image_lies_as_documented() {
+        let sky = |rotation: f32| Sky::Image {
+            width: 4,
+            height: 2,
+            radiance: (0..8).map(|i| Vec3::splat(i as f32)).collect::<Arc<[Vec3]>>(),
+            rotation,
+        };
+        let look = |sky: &Sky, x: f32, y: f32, z: f32| sky.radiance(Vec3::new(x, y, z).normalize()).x;
+        // Just right of the centre is column 2, +X is three quarters to the right, below is row 1.
+        assert_eq!(look(&sky(0.0), 0.1, 0.5, -1.0), 2.0);
+        assert_eq!(look(&sky(0.0), 1.0, 0.5, 0.1), 3.0);
+        assert_eq!(look(&sky(0.0), 0.1, -0.5, -1.0), 6.0);
+        // Turned counter-clockwise from above by 90 degrees, what was at -Z is at -X.
+        assert_eq!(look(&sky(std::f32::consts::FRAC_PI_2), -1.0, 0.5, -0.1), 2.0);
     }
 }

@@ -115,7 +115,7 @@ impl<'s> World<'s> {
             refs: Vec::with_capacity(n),
             flags: Vec::with_capacity(n),
             first_triangle: Vec::with_capacity(scene.instances.len() + 1),
-            constants: scene.materials.iter().map(|m| constant_point(m)).collect(),
+            constants: scene.materials.iter().map(constant_point).collect(),
             normal_matrices: Vec::with_capacity(scene.instances.len()),
         };
         for (i, instance) in scene.instances.iter().enumerate() {

@@ -44,7 +44,7 @@ impl Random {
 
     /// Below `n`.
     pub fn index(&mut self, n: usize) -> usize {
-        (u64::from(self.bits()) * n as u64 >> 32) as usize
+        ((u64::from(self.bits()) * n as u64) >> 32) as usize
     }
 }
 

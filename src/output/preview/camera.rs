@@ -15,9 +15,13 @@ const POINTS: u32 = 512;
 /// Directions tried at each point.
 const DIRECTIONS: u32 = 12;
 /// Rays per direction.
-const RAYS: u32 = 32;
+const RAYS: u32 = 64;
 /// A view from inside in which more than this share of rays leaves the scene is no interior.
-const MAX_ESCAPED: f32 = 0.1;
+const MAX_ESCAPED: f32 = 0.08;
+/// Likewise for backs of surfaces: some leaves and cloths have no other side.
+const MAX_BACKS: f32 = 0.2;
+/// Share of all directions in which a room has to have a wall.
+const MIN_CLOSED: f32 = 0.95;
 
 /// Chooses a view that shows the scene. In closed rooms: of many points in free space and level directions
 /// the view with the largest mean logarithm of distance, seeing fronts only. In the open: the whole scene
@@ -75,10 +79,9 @@ impl Frustum {
     }
 }
 
-/// True where a ray sees a surface that is drawn from its side.
+/// True where a ray meets the front of a surface, double-sided or not: inside a solid there are only backs.
 fn sees_front(world: &World, ray: &Ray, hit: &Hit) -> bool {
-    world.flags[hit.triangle as usize].has(SurfaceFlags::DOUBLE_SIDED)
-        || ray.direction.dot(world.normals[hit.triangle as usize]) <= 0.0
+    ray.direction.dot(world.normals[hit.triangle as usize]) <= 0.0
 }
 
 /// Mean logarithm of distance; `None` for a view that leaves the scene, stands in a solid or is blocked.
@@ -90,16 +93,19 @@ fn score_inside(world: &World, closest: &impl Fn(&Ray) -> Option<Hit>, view: &Fr
             Some(hit) if !sees_front(world, &ray, &hit) => backs += 1,
             Some(hit) => sum += hit.t.max(1e-4).ln(),
         }
-        if (escaped + backs) as f32 > MAX_ESCAPED * RAYS as f32 {
+        if escaped as f32 > MAX_ESCAPED * RAYS as f32 || backs as f32 > MAX_BACKS * RAYS as f32 {
             return None;
         }
     }
-    // A room has a ceiling and walls behind the camera too.
-    let around = [Vec3::Y, -view.forward, view.forward.cross(Vec3::Y)];
-    let closed = around.iter().all(|&direction| {
+    // A room is closed behind the camera too, but for doors and windows.
+    let around = (0..RAYS).map(r2).filter(|at| {
+        let (y, azimuth) = (2.0 * at.x - 1.0, TAU * at.y);
+        let level = (1.0 - y * y).max(0.0).sqrt();
+        let direction = Vec3::new(level * azimuth.cos(), y, level * azimuth.sin());
         let ray = Ray { origin: view.origin, direction, t_max: f32::INFINITY };
-        closest(&ray).is_some_and(|hit| sees_front(world, &ray, &hit))
+        closest(&ray).is_some()
     });
+    let closed = around.count() as f32 >= MIN_CLOSED * RAYS as f32;
     closed.then(|| sum / (RAYS - escaped - backs) as f32)
 }
 

@@ -7,7 +7,7 @@ use crate::lightmap::{Lightmap, LightmapPage};
 use crate::scene::{Camera, Projection, Sky, SurfaceFlags, World};
 use glam::{Vec2, Vec3};
 use rayon::prelude::*;
-use std::f32::consts::{FRAC_1_PI, PI};
+use std::f32::consts::FRAC_1_PI;
 
 /// How a picture is taken.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -44,11 +44,12 @@ pub fn render(
     atlas: &Atlas,
     lightmap: &Lightmap,
     camera: &Camera,
+    sky: Option<&Sky>,
     settings: &RenderSettings,
 ) -> RgbImage {
     let (width, height) = (settings.width, settings.height);
     let fallback = if settings.mark_unmapped { None } else { Some(mean_irradiance(lightmap)) };
-    let view = View { world, closest, atlas, lightmap, fallback };
+    let view = View { world, closest, atlas, lightmap, sky, fallback };
     let rays = CameraRays::new(world, camera, width as f32 / height.max(1) as f32);
     // Light and whether a surface was seen.
     let samples: Vec<[(Vec3, bool); 4]> = (0..width as usize * height as usize)
@@ -83,6 +84,7 @@ struct View<'a, F> {
     closest: &'a F,
     atlas: &'a Atlas,
     lightmap: &'a Lightmap,
+    sky: Option<&'a Sky>,
     /// Light of surfaces without a map; `None`: magenta.
     fallback: Option<Vec3>,
 }
@@ -93,7 +95,7 @@ impl<F: Fn(&Ray) -> Option<Hit>> View<'_, F> {
         let (mut light, mut throughput, mut surface_seen) = (Vec3::ZERO, Vec3::ONE, false);
         for _ in 0..MAX_LAYERS {
             let Some(hit) = (self.closest)(&ray) else {
-                let sky = self.world.scene.sky.as_ref().map_or(Vec3::ZERO, |sky| sky_radiance(sky, ray.direction));
+                let sky = self.sky.map_or(Vec3::ZERO, |sky| sky.radiance(ray.direction.normalize()));
                 return (light + throughput * sky, surface_seen);
             };
             let uv = Vec2::new(hit.u, hit.v);
@@ -164,21 +166,6 @@ fn mean_irradiance(lightmap: &Lightmap) -> Vec3 {
     if area > 0.0 { (sum / area).as_vec3() } else { Vec3::ZERO }
 }
 
-/// Radiance of the sky [nit] from a direction of any length; see [`Sky`] for the orientation.
-fn sky_radiance(sky: &Sky, direction: Vec3) -> Vec3 {
-    match sky {
-        Sky::Constant(radiance) => *radiance,
-        Sky::Image { width, height, radiance, rotation } => {
-            let d = glam::Quat::from_rotation_y(-rotation) * direction.normalize_or(Vec3::NEG_Z);
-            let u = 0.5 + d.x.atan2(-d.z) / (2.0 * PI);
-            let v = d.y.clamp(-1.0, 1.0).acos() / PI;
-            let x = ((u * *width as f32) as usize).min(width.saturating_sub(1));
-            let y = ((v * *height as f32) as usize).min(height.saturating_sub(1));
-            radiance.get(y * width + x).copied().unwrap_or(Vec3::ZERO)
-        }
-    }
-}
-
 /// Turns points of the image into rays of the frame.
 struct CameraRays {
     origin: Vec3,
@@ -229,7 +216,6 @@ impl CameraRays {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use std::sync::Arc;
 
     #[test]
     fn filtering_hits_texel_centres_and_clamps_at_the_border() {
@@ -238,22 +224,5 @@ mod tests {
         let at = |x: f32| bilinear(&page, &values, Vec2::new(x, 0.7)).map(|v| v.x);
         assert_eq!([at(-3.0), at(0.5), at(1.0), at(1.5), at(9.0)], [0.0, 0.0, 0.5, 1.0, 1.0].map(Some));
         assert_eq!(at(f32::NAN), None);
-    }
-
-    #[test]
-    fn the_sky_image_lies_as_documented() {
-        let sky = |rotation: f32| Sky::Image {
-            width: 4,
-            height: 2,
-            radiance: (0..8).map(|i| Vec3::splat(i as f32)).collect::<Arc<[Vec3]>>(),
-            rotation,
-        };
-        let look = |sky: &Sky, x: f32, y: f32, z: f32| sky_radiance(sky, Vec3::new(x, y, z)).x;
-        // Just right of the centre is column 2, +X is three quarters to the right, below is row 1.
-        assert_eq!(look(&sky(0.0), 0.1, 0.5, -1.0), 2.0);
-        assert_eq!(look(&sky(0.0), 1.0, 0.5, 0.1), 3.0);
-        assert_eq!(look(&sky(0.0), 0.1, -0.5, -1.0), 6.0);
-        // Turned counter-clockwise from above by 90 degrees, what was at -Z is at -X.
-        assert_eq!(look(&sky(PI / 2.0), -1.0, 0.5, -0.1), 2.0);
     }
 }

@@ -1,0 +1,323 @@
+//! From a scene to an atlas: choose, unwrap, pack, write down.
+
+use super::chart::{Chart, charts_of};
+use super::density::{Layout, Unit, UnitLayout, lay_out};
+use super::select::baked_instances;
+use super::unwrap::{IGNORED, JoinedMesh, Limits, UnwrapError, Unwrapped, Unwrapper, default_time_limit, unwrap_mesh};
+use super::uvunwrap::Uvunwrap;
+use super::xatlas::XatlasWorker;
+use super::{Atlas, MeshLayout, NO_CHART, Placement, PrimitiveLayout, keep};
+use crate::error::{BakeError, Warning};
+use crate::options::{self, BakeOptions, Density, UvSource};
+use crate::scene::{Instance, Mesh, Scene};
+use glam::{DMat3, DVec2, Vec2};
+use rayon::prelude::*;
+
+/// Page sizes for which the layout is made [texels]. Above, f32 texel coordinates lose too many digits.
+const PAGE_SIZES: std::ops::RangeInclusive<u32> = 16..=16384;
+
+/// Smallest size of an instance's rectangle relative to the largest of the same mesh: all share one layout,
+/// whose gutters grow with the inverse. Smaller instances get more texels than asked for.
+const LEAST_INSTANCE: f64 = 0.125;
+
+/// Lays out the lightmaps of `scene`: every triangle with an area of every baked instance gets a chart, unless
+/// its material is unlit. `cancelled` is asked now and then, from any thread.
+///
+/// The result does not depend on the number of threads, unless an unwrapper runs into its time limit.
+///
+/// # Errors
+/// [`BakeError::Options`] for an option out of range or an unknown node name, [`BakeError::Nothing`] where no
+/// surface is left to bake, [`BakeError::Uv`] where the file's lightmap UVs are kept and cannot be used,
+/// [`BakeError::Limit`] where the pages do not suffice, and [`BakeError::Cancelled`].
+pub fn build(scene: &Scene, options: &BakeOptions, cancelled: &(dyn Fn() -> bool + Sync)) -> Result<Atlas, BakeError> {
+    check_options(options)?;
+    let baked = baked_instances(scene, options)?;
+    match options.uv {
+        UvSource::Keep => keep::keep(scene, options, &baked),
+        UvSource::Generate => generate(scene, options, &baked, cancelled),
+    }
+}
+
+fn check_options(options: &BakeOptions) -> Result<(), BakeError> {
+    let refuse = |what: String| Err(BakeError::Options(what));
+    if !PAGE_SIZES.contains(&options.max_texture) {
+        return refuse(format!("--max-texture {}: must be from 16 to 16384 texels", options.max_texture));
+    }
+    if options.max_pages == 0 {
+        return refuse("--max-pages 0: must be at least 1".into());
+    }
+    if options.gutter > options.max_texture / 4 {
+        return refuse(format!(
+            "--gutter {}: must be at most a quarter of --max-texture {}",
+            options.gutter, options.max_texture
+        ));
+    }
+    match options.density {
+        Density::TexelsPerMetre(d) if !(d.is_finite() && d > 0.0) => {
+            refuse(format!("--density {d}: must be `auto` or a number of texels per metre above 0"))
+        }
+        _ => Ok(()),
+    }
+}
+
+/// A mesh with the baked instances that share its UVs.
+struct Shared {
+    mesh: usize,
+    instances: Vec<usize>,
+}
+
+fn generate(
+    scene: &Scene,
+    options: &BakeOptions,
+    baked: &[bool],
+    cancelled: &(dyn Fn() -> bool + Sync),
+) -> Result<Atlas, BakeError> {
+    let mut warnings = Vec::new();
+    let densities = instance_densities(scene, baked, &mut warnings);
+    let mut shared: Vec<Shared> = Vec::new();
+    let mut of_mesh: Vec<Option<usize>> = vec![None; scene.meshes.len()];
+    for (i, instance) in scene.instances.iter().enumerate().filter(|(i, _)| baked[*i]) {
+        let s = *of_mesh[instance.mesh].get_or_insert_with(|| {
+            shared.push(Shared { mesh: instance.mesh, instances: Vec::new() });
+            shared.len() - 1
+        });
+        shared[s].instances.push(i);
+    }
+    let unwrapped = unwrap_all(scene, options, &shared, cancelled)?;
+    let mut units = Vec::with_capacity(shared.len());
+    let mut meshes = Vec::with_capacity(shared.len());
+    for (s, (unwrapped, found)) in shared.iter().zip(unwrapped) {
+        warnings.extend(found);
+        units.push(unit(scene, s, charts_of(&unwrapped), &densities));
+        meshes.push(unwrapped);
+    }
+    if units.iter().all(|u| u.charts.is_empty()) {
+        return Err(BakeError::Nothing(format!(
+            "{}: no triangle of the nodes to bake has an area; check the scales of the nodes",
+            scene.name
+        )));
+    }
+    let layout = lay_out(&units, options, cancelled)?;
+    warn_of_scaling(&units, &layout, &mut warnings);
+    let mut atlas = Atlas {
+        pages: layout.pages.clone(),
+        meshes: vec![None; scene.meshes.len()],
+        placements: vec![None; scene.instances.len()],
+        texels_per_metre: layout.density,
+        gutter: options.gutter,
+        warnings,
+        ..Atlas::default()
+    };
+    for (((s, unit), placed), unwrapped) in shared.iter().zip(&units).zip(&layout.units).zip(&meshes) {
+        let size = if unit.instances.is_empty() {
+            let page = layout.pages[placed.page as usize];
+            [page.width, page.height]
+        } else {
+            placed.size
+        };
+        let uvs = uvs(unwrapped, unit, placed, size);
+        atlas.meshes[s.mesh] = Some(mesh_layout(&scene.meshes[s.mesh], unwrapped, &uvs));
+        for (k, &i) in s.instances.iter().enumerate() {
+            let vec2 = |v: [u32; 2]| Vec2::new(v[0] as f32, v[1] as f32);
+            atlas.placements[i] = Some(match placed.rectangles.get(k) {
+                None => Placement { page: placed.page, origin: Vec2::ZERO, size: vec2(size) },
+                Some(r) => Placement { page: r.page, origin: vec2(r.origin), size: vec2(r.size) },
+            });
+        }
+    }
+    atlas.first_chart = first_charts(scene, &atlas);
+    Ok(atlas)
+}
+
+/// First global chart id of each instance, and the total.
+pub(super) fn first_charts(scene: &Scene, atlas: &Atlas) -> Vec<u32> {
+    let mut first = vec![0];
+    let mut total = 0;
+    for (instance, placement) in scene.instances.iter().zip(&atlas.placements) {
+        if let (Some(_), Some(layout)) = (placement, &atlas.meshes[instance.mesh]) {
+            total += layout.chart_count;
+        }
+        first.push(total);
+    }
+    first
+}
+
+/// The density factor of each instance, 1 where the file's makes no sense.
+fn instance_densities(scene: &Scene, baked: &[bool], warnings: &mut Vec<Warning>) -> Vec<f64> {
+    let usable = |d: f32| d.is_finite() && d > 0.0;
+    for i in (0..baked.len()).filter(|&i| baked[i] && !usable(scene.instances[i].density)) {
+        let Instance { name, density, .. } = &scene.instances[i];
+        let message = format!("node {name}: evenlight.density {density} is not a number above 0; 1 is used instead");
+        warnings.push(Warning::new("bad-density", message));
+    }
+    scene.instances.iter().map(|i| if usable(i.density) { f64::from(i.density) } else { 1.0 }).collect()
+}
+
+/// Largest factor by which a transform lengthens an axis of the mesh; 0 where it is not finite.
+fn scale_of(instance: &Instance) -> f64 {
+    let m = instance.world_from_object.matrix3;
+    let longest = m.x_axis.length().max(m.y_axis.length()).max(m.z_axis.length());
+    if m.is_finite() && longest.is_finite() { longest } else { 0.0 }
+}
+
+/// Metres per object unit at the largest instance.
+fn largest_scale(scene: &Scene, s: &Shared) -> f64 {
+    let largest = s.instances.iter().map(|&i| scale_of(&scene.instances[i])).fold(0.0, f64::max);
+    if largest > 0.0 { largest } else { 1.0 }
+}
+
+fn unwrap_all(
+    scene: &Scene,
+    options: &BakeOptions,
+    shared: &[Shared],
+    cancelled: &(dyn Fn() -> bool + Sync),
+) -> Result<Vec<(Unwrapped, Vec<Warning>)>, BakeError> {
+    let backend: Box<dyn Unwrapper> = match &options.unwrapper {
+        options::Unwrapper::Uvunwrap => Box::new(Uvunwrap),
+        options::Unwrapper::Xatlas { worker } => Box::new(XatlasWorker::new(worker.clone())),
+    };
+    // Meshes share the cores, so the clock of each runs for all.
+    let triangles = shared.iter().map(|s| scene.meshes[s.mesh].triangle_count()).sum();
+    let limits = Limits { time: default_time_limit(triangles), cancelled };
+    shared
+        .par_iter()
+        .map(|s| {
+            let mesh = &scene.meshes[s.mesh];
+            let metres = match s.instances[..] {
+                [only] => scene.instances[only].world_from_object.matrix3,
+                _ => DMat3::from_diagonal(glam::DVec3::splat(largest_scale(scene, s))),
+            };
+            unwrap_mesh(&joined(scene, mesh, metres), backend.as_ref(), limits)
+        })
+        .collect::<Result<Vec<_>, _>>()
+        .map_err(|e| match e {
+            UnwrapError::Cancelled => BakeError::Cancelled,
+            e => BakeError::Options(e.to_string()),
+        })
+}
+
+/// All primitives of a mesh in metres. Face groups keep apart what is shaded differently: the two sides of a
+/// chart are stored together or not at all, and unlit surfaces get no texels.
+fn joined(scene: &Scene, mesh: &Mesh, metres: DMat3) -> JoinedMesh {
+    let mut joined = JoinedMesh { name: mesh.name.clone(), ..JoinedMesh::default() };
+    for primitive in &mesh.primitives {
+        let first = joined.positions.len() as u32;
+        let material = &scene.materials[primitive.material];
+        let group = if material.unlit { IGNORED } else { u32::from(material.double_sided) };
+        joined.positions.extend(primitive.positions.iter().map(|p| metres * p.as_dvec3()));
+        joined.triangles.extend(primitive.triangles.iter().map(|t| t.map(|v| v + first)));
+        joined.groups.resize(joined.triangles.len(), group);
+    }
+    joined
+}
+
+fn unit(scene: &Scene, s: &Shared, charts: Vec<Chart>, densities: &[f64]) -> Unit {
+    if let [only] = s.instances[..] {
+        let name = format!("node {}", scene.instances[only].name);
+        return Unit { name, charts, density: densities[only], instances: Vec::new() };
+    }
+    let sizes: Vec<f64> = s.instances.iter().map(|&i| scale_of(&scene.instances[i]) * densities[i]).collect();
+    let largest = sizes.iter().copied().fold(0.0, f64::max);
+    let largest = if largest > 0.0 { largest } else { 1.0 };
+    let instances = sizes.iter().map(|s| (s / largest).max(LEAST_INSTANCE)).collect();
+    let name = format!("mesh {}", scene.meshes[s.mesh].name);
+    Unit { name, charts, density: largest / largest_scale(scene, s), instances }
+}
+
+/// Loss of density below which nobody is warned: charts are rounded to whole texels anyway.
+const NOTABLE_LOSS: f64 = 0.9;
+
+fn warn_of_scaling(units: &[Unit], layout: &Layout, warnings: &mut Vec<Warning>) {
+    for (unit, placed) in units.iter().zip(&layout.units) {
+        let asked = layout.density * unit.density;
+        let worst = unit
+            .charts
+            .iter()
+            .zip(&placed.charts)
+            .flat_map(|(c, spot)| [0, 1].map(|k| (f64::from(spot.texels[k]) + 1.0) / (c.size[k] * asked)))
+            .fold(1.0, f64::min);
+        if worst < NOTABLE_LOSS {
+            warnings.push(Warning::new(
+                "chart-larger-than-page",
+                format!(
+                    "{}: does not fit on a page at {asked:.4} texels per metre and gets {:.4} where it is longest; \
+                     raise --max-texture or split the mesh",
+                    unit.name,
+                    asked * worst
+                ),
+            ));
+        }
+    }
+}
+
+/// Lightmap UV of each vertex of an unwrapped mesh in a box of `size` texels.
+fn uvs(mesh: &Unwrapped, unit: &Unit, placed: &UnitLayout, size: [u32; 2]) -> Vec<Vec2> {
+    let mut uvs = vec![Vec2::ZERO; mesh.vertices.len()];
+    for (chart, spot) in unit.charts.iter().zip(&placed.charts) {
+        let (lo, hi) = spot.bounds();
+        for (&v, &place) in chart.vertices.iter().zip(&chart.places) {
+            let at = spot.texel(place, chart.size);
+            uvs[v as usize] = Vec2::new(uv_within(at, lo, hi, size, 0), uv_within(at, lo, hi, size, 1));
+        }
+    }
+    uvs
+}
+
+/// The f32 coordinate that, multiplied by the size in f32, comes nearest to a texel coordinate without leaving
+/// its chart's box: at 16384 texels an f32 is a thousandth of a texel off, which must not add a column of
+/// texels to a chart.
+fn uv_within(at: DVec2, lo: DVec2, hi: DVec2, size: [u32; 2], axis: usize) -> f32 {
+    let (lo, hi, size) = (lo[axis], hi[axis], size[axis] as f32);
+    let mut uv = (at[axis].clamp(lo, hi) / f64::from(size)) as f32;
+    while uv * size < lo as f32 {
+        uv = uv.next_up();
+    }
+    while uv * size > hi as f32 {
+        uv = uv.next_down();
+    }
+    uv
+}
+
+/// The layout of a mesh, primitive by primitive, from that of all primitives joined.
+fn mesh_layout(mesh: &Mesh, unwrapped: &Unwrapped, uvs: &[Vec2]) -> MeshLayout {
+    let mut layout =
+        MeshLayout { primitives: Vec::with_capacity(mesh.primitives.len()), chart_count: unwrapped.chart_count };
+    let mut new_vertex = vec![u32::MAX; unwrapped.vertices.len()];
+    let (mut first_vertex, mut first_triangle) = (0, 0);
+    for primitive in &mesh.primitives {
+        let n = primitive.positions.len();
+        let mut p = PrimitiveLayout {
+            source_vertices: (0..n as u32).collect(),
+            uvs: vec![Vec2::ZERO; n],
+            triangles: Vec::with_capacity(primitive.triangles.len()),
+            charts: unwrapped.charts[first_triangle..][..primitive.triangles.len()].to_vec(),
+        };
+        let mut placed = vec![false; n];
+        for (k, source) in primitive.triangles.iter().enumerate() {
+            if p.charts[k] == NO_CHART {
+                p.triangles.push(*source);
+                continue;
+            }
+            p.triangles.push(unwrapped.triangles[first_triangle + k].map(|v| {
+                let v = v as usize;
+                if new_vertex[v] == u32::MAX {
+                    let source = unwrapped.vertices[v].source as usize - first_vertex;
+                    if placed[source] {
+                        new_vertex[v] = p.source_vertices.len() as u32;
+                        p.source_vertices.push(source as u32);
+                        p.uvs.push(uvs[v]);
+                    } else {
+                        placed[source] = true;
+                        new_vertex[v] = source as u32;
+                        p.uvs[source] = uvs[v];
+                    }
+                }
+                new_vertex[v]
+            }));
+        }
+        first_vertex += n;
+        first_triangle += primitive.triangles.len();
+        layout.primitives.push(p);
+    }
+    layout
+}

@@ -1,0 +1,284 @@
+//! The flags, and options from them.
+
+use clap::{Args, Parser, Subcommand};
+use evenlight::BakeError;
+use evenlight::options::{
+    BakeOptions, Density, DoubleSided, Lights, Normals, Quantity, SkySource, Sun, TexelValue, Unwrapper, UvSource,
+};
+use evenlight::output::lightmap_exr::Layer;
+use glam::Vec3;
+use std::path::PathBuf;
+
+/// A lightmap baker that takes an error, not a sample count.
+#[derive(Debug, Parser)]
+#[command(version, about, arg_required_else_help = true)]
+pub struct Cli {
+    #[command(subcommand)]
+    pub command: Command,
+}
+
+#[derive(Debug, Subcommand)]
+#[allow(clippy::large_enum_variant)]
+pub enum Command {
+    /// Bake lightmaps: EXR maps, the scene with lightmap UVs, a manifest and a report.
+    Bake(BakeArgs),
+    /// Say what is in a scene, what would be baked, and what is wrong with it.
+    Inspect {
+        /// A .glb or .gltf file.
+        scene: PathBuf,
+        /// As JSON.
+        #[arg(long)]
+        json: bool,
+    },
+    /// (not built yet) Check the lightmap UVs of a scene.
+    Check { scene: PathBuf },
+    /// (not built yet) Freeze atlas, cells and budget of a bake.
+    Plan { scene: PathBuf },
+    /// (not built yet) Merge the shards of a bake.
+    Merge { shards: Vec<PathBuf> },
+    /// (not built yet) Look at a finished bake.
+    View { folder: PathBuf },
+    /// (not built yet) Check this build on this machine.
+    Selftest,
+    /// Unwrap one mesh from stdin to stdout (a child process of `bake --unwrapper xatlas`).
+    #[command(hide = true, name = "unwrap-worker")]
+    UnwrapWorker,
+}
+
+#[derive(Debug, Args)]
+pub struct BakeArgs {
+    /// A .glb or .gltf file.
+    #[arg(required = true)]
+    pub scene: Vec<PathBuf>,
+    /// Folder for the results; made if absent.
+    #[arg(short, long)]
+    pub out: PathBuf,
+
+    /// Bake until the upper 95 % limit of the texel error is under this [% of the mean].
+    #[arg(long, default_value_t = 2.0, help_heading = "Targets and limits")]
+    target_percent: f64,
+    /// ... and until 95 % of the nodes are under this, each relative to its own mean [default: 3 x target].
+    #[arg(long, help_heading = "Targets and limits")]
+    target_mesh_percent: Option<f64>,
+    /// (not built yet) Bake until what filtering shows is under this.
+    #[arg(long, help_heading = "Targets and limits")]
+    target_shown_percent: Option<f64>,
+    /// End after this many seconds with what is there (exit status 3).
+    #[arg(long, value_name = "SECONDS", help_heading = "Targets and limits")]
+    time_limit: Option<f64>,
+    /// End after this many photons with what is there (exit status 3).
+    #[arg(long, help_heading = "Targets and limits")]
+    max_photons: Option<f64>,
+    /// Refuse to take more memory than this [MiB].
+    #[arg(long, default_value_t = 4096, value_name = "MIB", help_heading = "Targets and limits")]
+    memory_limit: u64,
+
+    /// Page width and height [texels].
+    #[arg(long, default_value_t = 2048, help_heading = "Atlas")]
+    max_texture: u32,
+    /// Most pages.
+    #[arg(long, default_value_t = 16, help_heading = "Atlas")]
+    max_pages: u32,
+    /// `auto`: the highest that fits one page; or texels per metre, on as many pages as that takes.
+    #[arg(long, default_value = "auto", help_heading = "Atlas")]
+    density: String,
+    /// Empty texels around each chart.
+    #[arg(long, default_value_t = 4, help_heading = "Atlas")]
+    gutter: u32,
+    /// Make lightmap UVs, or keep TEXCOORD_1 texel for texel on one page of --max-texture squared.
+    #[arg(long, default_value = "generate", value_parser = ["generate", "keep"], help_heading = "Atlas")]
+    uv: String,
+    /// What cuts and flattens meshes.
+    #[arg(long, default_value = "uvunwrap", value_parser = ["uvunwrap", "xatlas"], help_heading = "Atlas")]
+    unwrapper: String,
+
+    /// Light from everywhere: cd/m2, R,G,B, or an equirectangular .hdr or .exr file (1.0 = 1 cd/m2).
+    #[arg(long, value_name = "CD/M2|R,G,B|FILE", help_heading = "Light")]
+    sky: Option<String>,
+    /// Turn a sky file about the vertical [degrees, counter-clockwise from above].
+    #[arg(long, default_value_t = 0.0, allow_negative_numbers = true, help_heading = "Light")]
+    sky_rotation: f32,
+    /// Factor on the sky.
+    #[arg(long, default_value_t = 1.0, help_heading = "Light")]
+    sky_scale: f32,
+    /// ELEVATION,AZIMUTH,LUX[,DIAMETER]: lux on a plane facing it; azimuth from -Z towards +X [degrees].
+    #[arg(long, allow_hyphen_values = true, help_heading = "Light")]
+    sun: Option<String>,
+    /// Bake all light, or only what punctual lights reflect.
+    #[arg(long, default_value = "all", value_parser = ["all", "indirect"], help_heading = "Light")]
+    lights: String,
+    /// Leave lights out of scene.glb whose direct light is in the maps.
+    #[arg(long, help_heading = "Light")]
+    remove_baked_lights: bool,
+
+    /// Receive light on the file's normals or on flat triangles.
+    #[arg(long, default_value = "smooth", value_parser = ["smooth", "geometric"], help_heading = "Maps")]
+    normals: String,
+    /// Side of double-sided surfaces: per chart the one that receives more, the front, or both.
+    #[arg(long, default_value = "auto", value_parser = ["auto", "front", "split"], help_heading = "Maps")]
+    double_sided: String,
+    /// Mean over a texel's open part, or over all of it; `fit` is not built yet.
+    #[arg(long, default_value = "open", value_parser = ["open", "mean", "fit"], help_heading = "Maps")]
+    texel_value: String,
+    /// What the maps hold: E / pi [cd/m2], or E [lux].
+    #[arg(long, default_value = "irradiance-over-pi", value_parser = ["irradiance-over-pi", "irradiance"], help_heading = "Maps")]
+    quantity: String,
+    /// More layers in the EXR files: half_difference, coverage, area, back.
+    #[arg(long, value_delimiter = ',', help_heading = "Maps")]
+    layers: Vec<String>,
+    /// 32-bit float instead of half.
+    #[arg(long, help_heading = "Maps")]
+    pub float: bool,
+    /// Bake these nodes alone; the others still block and reflect.
+    #[arg(long, value_delimiter = ',', help_heading = "Maps")]
+    only: Vec<String>,
+    /// Do not bake these nodes.
+    #[arg(long, value_delimiter = ',', help_heading = "Maps")]
+    exclude: Vec<String>,
+
+    /// (not built yet) Path-trace random texels to check the error.
+    #[arg(long, help_heading = "Run")]
+    audit: Option<String>,
+    /// Seed of every random number.
+    #[arg(long, default_value_t = 0, help_heading = "Run")]
+    seed: u64,
+    /// Worker threads; 0: one per core. The result is the same.
+    #[arg(long, default_value_t = 0, help_heading = "Run")]
+    threads: usize,
+    /// (not built yet) Keep unwraps and hierarchies here.
+    #[arg(long, help_heading = "Run")]
+    cache: Option<PathBuf>,
+    /// (not built yet) Go on from a state file.
+    #[arg(long, help_heading = "Run")]
+    resume: bool,
+    /// (not built yet) Bake along a plan.
+    #[arg(long, help_heading = "Run")]
+    plan: Option<PathBuf>,
+    /// (not built yet) Bake one shard I/N of a plan.
+    #[arg(long, help_heading = "Run")]
+    shard: Option<String>,
+    /// Print the report to stdout as JSON.
+    #[arg(long, help_heading = "Run")]
+    pub json: bool,
+    /// Write no preview pictures.
+    #[arg(long, help_heading = "Run")]
+    pub no_preview: bool,
+    /// (not built yet) Write no HTML report.
+    #[arg(long, help_heading = "Run")]
+    no_html: bool,
+}
+
+impl BakeArgs {
+    /// Options out of flags.
+    ///
+    /// # Errors
+    /// [`BakeError::Options`] names the flag and what it takes.
+    pub fn options(&self) -> Result<BakeOptions, BakeError> {
+        self.refuse_what_is_not_built()?;
+        let options = BakeOptions {
+            target_percent: self.target_percent,
+            target_mesh_percent: self.target_mesh_percent,
+            time_limit: self.time_limit,
+            max_photons: self.max_photons.map(|m| m.max(0.0) as u64),
+            memory_limit: self.memory_limit << 20,
+            max_texture: self.max_texture,
+            max_pages: self.max_pages,
+            density: density(&self.density)?,
+            gutter: self.gutter,
+            uv: if self.uv == "keep" { UvSource::Keep } else { UvSource::Generate },
+            unwrapper: self.unwrapper()?,
+            sky: self.sky.as_deref().map(sky),
+            sky_rotation: self.sky_rotation,
+            sky_scale: self.sky_scale,
+            sun: self.sun.as_deref().map(sun).transpose()?,
+            lights: if self.lights == "indirect" { Lights::Indirect } else { Lights::All },
+            normals: if self.normals == "geometric" { Normals::Geometric } else { Normals::Smooth },
+            double_sided: match self.double_sided.as_str() {
+                "front" => DoubleSided::Front,
+                "split" => DoubleSided::Split,
+                _ => DoubleSided::Auto,
+            },
+            texel_value: if self.texel_value == "mean" { TexelValue::Mean } else { TexelValue::Open },
+            quantity: if self.quantity == "irradiance" { Quantity::Irradiance } else { Quantity::IrradianceOverPi },
+            only: self.only.clone(),
+            exclude: self.exclude.clone(),
+            seed: self.seed,
+            threads: self.threads,
+        };
+        options.validate()?;
+        Ok(options)
+    }
+
+    /// Extra layers of the EXR files.
+    ///
+    /// # Errors
+    /// [`BakeError::Options`] lists the layers there are.
+    pub fn layers(&self) -> Result<Vec<Layer>, BakeError> {
+        self.layers.iter().map(|l| l.parse()).collect()
+    }
+
+    /// True where lights whose direct light is baked leave scene.glb.
+    pub fn removes_baked_lights(&self) -> bool {
+        self.remove_baked_lights
+    }
+
+    /// A flag that would do nothing is an error, never ignored.
+    fn refuse_what_is_not_built(&self) -> Result<(), BakeError> {
+        let asked = [
+            (self.target_shown_percent.is_some(), "--target-shown-percent"),
+            (self.texel_value == "fit", "--texel-value fit"),
+            (self.audit.is_some(), "--audit"),
+            (self.cache.is_some(), "--cache"),
+            (self.resume, "--resume"),
+            (self.plan.is_some(), "--plan"),
+            (self.shard.is_some(), "--shard"),
+            (self.no_html, "--no-html"),
+            (self.scene.len() > 1, "more than one scene"),
+        ];
+        match asked.iter().find(|a| a.0) {
+            Some((_, flag)) => Err(BakeError::Options(format!("{flag} is not built yet; leave it out"))),
+            None => Ok(()),
+        }
+    }
+
+    fn unwrapper(&self) -> Result<Unwrapper, BakeError> {
+        if self.unwrapper != "xatlas" {
+            return Ok(Unwrapper::Uvunwrap);
+        }
+        let worker = std::env::current_exe()
+            .map_err(|e| BakeError::Options(format!("--unwrapper xatlas: cannot find this program's own file: {e}")))?;
+        Ok(Unwrapper::Xatlas { worker })
+    }
+}
+
+fn density(text: &str) -> Result<Density, BakeError> {
+    if text == "auto" {
+        return Ok(Density::Auto);
+    }
+    text.parse()
+        .map(Density::TexelsPerMetre)
+        .map_err(|_| BakeError::Options(format!("--density {text}: takes `auto` or texels per metre, such as 32")))
+}
+
+/// A number, three numbers, or else a file.
+fn sky(text: &str) -> SkySource {
+    let numbers: Option<Vec<f32>> = text.split(',').map(|n| n.trim().parse().ok()).collect();
+    match numbers.as_deref() {
+        Some(&[l]) => SkySource::Constant(Vec3::splat(l)),
+        Some(&[r, g, b]) => SkySource::Constant(Vec3::new(r, g, b)),
+        _ => SkySource::File(text.into()),
+    }
+}
+
+fn sun(text: &str) -> Result<Sun, BakeError> {
+    let numbers: Option<Vec<f32>> = text.split(',').map(|n| n.trim().parse().ok()).collect();
+    let (elevation, azimuth, illuminance, diameter) = match numbers.as_deref() {
+        Some(&[e, a, l]) => (e, a, l, 0.53),
+        Some(&[e, a, l, d]) => (e, a, l, d),
+        _ => {
+            let what = "takes ELEVATION,AZIMUTH,LUX[,DIAMETER], such as 45,120,100000";
+            return Err(BakeError::Options(format!("--sun {text}: {what}")));
+        }
+    };
+    Ok(Sun { elevation, azimuth, illuminance, diameter })
+}

@@ -1,0 +1,161 @@
+//! `evenlight bake`: a scene in, a folder of results out.
+
+use super::args::BakeArgs;
+use super::terminal::{Terminal, seconds};
+use evenlight::output::glb::{self, GlbOptions};
+use evenlight::output::lightmap_exr::{self, ExrSettings};
+use evenlight::output::manifest::{Manifest, ManifestInputs};
+use evenlight::output::{preview, write_atomically};
+use evenlight::report::Report;
+use evenlight::scene::{Camera, Projection, Scene};
+use evenlight::{Bake, BakeError, BakeOptions, bake};
+use std::path::{Path, PathBuf};
+
+/// Pixels of the longer side of a view.
+const VIEW_SIZE: u32 = 960;
+
+/// Views are made of at most this many cameras of a file.
+const MOST_VIEWS: usize = 4;
+
+/// Bakes and writes; the exit status.
+pub fn run(args: &BakeArgs) -> Result<u8, BakeError> {
+    let options = args.options()?;
+    let layers = args.layers()?;
+    let folder = &args.out;
+    std::fs::create_dir_all(folder).map_err(|source| BakeError::Io { path: folder.clone(), source })?;
+    let scene = Scene::from_gltf(&args.scene[0])?;
+
+    let mut terminal = Terminal::new();
+    let result = bake(&scene, &options, &mut terminal);
+    terminal.finish();
+    let mut bake = result?;
+    bake.report.peak_memory_bytes = peak_memory();
+
+    let exr = ExrSettings {
+        quantity: options.quantity,
+        float: args.float,
+        layers,
+        scene: scene.name.clone(),
+        seed: options.seed,
+        texel_error_percent: Some(bake.report.texel_error_percent),
+    };
+    write_maps(folder, &bake, &exr)?;
+    write_scene(folder, &scene, &mut bake, &options, args.removes_baked_lights())?;
+    if !args.no_preview {
+        write_previews(folder, &scene, &bake)?;
+    }
+    let report = to_json(&folder.join("report.json"), &bake.report)?;
+    if args.json {
+        println!("{report}");
+    }
+    eprintln!("{}", summary(&bake.report, folder));
+    Ok(if bake.report.target_met { 0 } else { super::TARGET_MISSED })
+}
+
+fn page_file(page: usize) -> String {
+    format!("lightmap-{page}.exr")
+}
+
+fn write_maps(folder: &Path, bake: &Bake, settings: &ExrSettings) -> Result<(), BakeError> {
+    for (i, page) in bake.lightmap.pages.iter().enumerate() {
+        let info = lightmap_exr::write(&folder.join(page_file(i)), page, settings)?;
+        if info.float_for_range {
+            eprintln!("note: {} is 32-bit float, since its values go up to {}", page_file(i), info.largest);
+        }
+        if info.non_finite > 0 {
+            eprintln!("warning: {} values of {} were not finite and are 0", info.non_finite, page_file(i));
+        }
+    }
+    Ok(())
+}
+
+fn write_scene(
+    folder: &Path,
+    scene: &Scene,
+    bake: &mut Bake,
+    options: &BakeOptions,
+    remove_baked_lights: bool,
+) -> Result<(), BakeError> {
+    let lights = if remove_baked_lights { glb::fully_baked_lights(scene, options.lights) } else { Vec::new() };
+    let glb = GlbOptions { remove_baked_lights: lights };
+    let info = glb::write(&folder.join("scene.glb"), &scene.source, scene, &bake.atlas, &glb)?;
+    bake.report.warnings.extend(info.warnings);
+
+    let mut error_percent = vec![None; scene.instances.len()];
+    bake.report.meshes.iter().for_each(|m| error_percent[m.instance] = Some(m.error_percent));
+    let inputs = ManifestInputs {
+        scene_file: Some("scene.glb".into()),
+        page_files: (0..bake.atlas.pages.len()).map(page_file).collect(),
+        error_percent,
+    };
+    Manifest::new(scene, &bake.atlas, &bake.lightmap, options.quantity, &bake.lighting, options.lights, &inputs)
+        .write(&folder.join("lightmap.json"))
+}
+
+fn write_previews(folder: &Path, scene: &Scene, bake: &Bake) -> Result<(), BakeError> {
+    for (i, page) in bake.lightmap.pages.iter().enumerate() {
+        preview::page_image(page).write_png(&folder.join(format!("lightmap-{i}.png")))?;
+    }
+    let closest = |ray: &evenlight::accel::Ray| bake.accel.closest(ray);
+    let chosen;
+    let cameras: &[Camera] = if scene.cameras.is_empty() {
+        chosen = [preview::choose_camera(&bake.world, &closest)];
+        &chosen
+    } else {
+        &scene.cameras[..scene.cameras.len().min(MOST_VIEWS)]
+    };
+    for (i, camera) in cameras.iter().enumerate() {
+        let settings = preview::RenderSettings { height: view_height(camera), ..Default::default() };
+        let sky = bake.lighting.sky.as_ref();
+        preview::render(&bake.world, &closest, &bake.atlas, &bake.lightmap, camera, sky, &settings)
+            .write_png(&folder.join(format!("view-{i}.png")))?;
+    }
+    Ok(())
+}
+
+fn view_height(camera: &Camera) -> u32 {
+    let aspect = match camera.projection {
+        Projection::Perspective { aspect, .. } => aspect.unwrap_or(16.0 / 9.0),
+        Projection::Orthographic { half_width, half_height } => half_width / half_height,
+    };
+    ((VIEW_SIZE as f32 / aspect.clamp(0.25, 4.0)).round() as u32).max(1)
+}
+
+fn to_json(path: &Path, report: &Report) -> Result<String, BakeError> {
+    let io = |source| BakeError::Io { path: PathBuf::from(path), source };
+    let mut text = serde_json::to_string_pretty(report).map_err(|e| io(std::io::Error::other(e)))?;
+    text.push('\n');
+    write_atomically(path, text.as_bytes())?;
+    Ok(text)
+}
+
+/// What happened, in three lines.
+fn summary(r: &Report, folder: &Path) -> String {
+    let verdict = match r.limit {
+        None => format!("target {} % met", r.target_percent),
+        Some(limit) => format!("target {} % NOT met: ended by {limit}", r.target_percent),
+    };
+    format!(
+        "{verdict}: texel error {:.2} % ({:.2} to {:.2}), 95 % of the meshes under {:.1} % (target {:.1} %)\n\
+         {} texels, {} triangles, {:.1} M rays in {}; mean irradiance {:.4} lux\n\
+         written to {}",
+        r.texel_error_percent,
+        r.texel_error_interval[0],
+        r.texel_error_interval[1],
+        r.mesh_error_percent_95,
+        r.target_mesh_percent,
+        r.atlas.texels,
+        r.atlas.triangles,
+        (r.work.direct_rays + r.work.photon_rays + r.work.probe_rays) as f64 / 1e6,
+        seconds(r.seconds.total),
+        r.mean_irradiance,
+        folder.display(),
+    )
+}
+
+/// Largest resident memory of this process [bytes], where the system tells.
+fn peak_memory() -> Option<u64> {
+    let status = std::fs::read_to_string("/proc/self/status").ok()?;
+    let line = status.lines().find(|l| l.starts_with("VmHWM:"))?;
+    line.split_whitespace().nth(1)?.parse::<u64>().ok().map(|kib| kib << 10)
+}

@@ -1,0 +1,106 @@
+//! Progress on a terminal, or as lines in a log.
+
+use evenlight::observer::{Progress, Stage};
+use evenlight::{Observer, Warning};
+use indicatif::{ProgressBar, ProgressStyle};
+use std::io::IsTerminal;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering::Relaxed};
+use std::time::Instant;
+
+/// Seconds between lines where stderr is not a terminal.
+const LINE_EVERY: f64 = 10.0;
+
+/// Shows progress on stderr; Ctrl-C cancels.
+pub struct Terminal {
+    bar: Option<ProgressBar>,
+    interrupted: Arc<AtomicBool>,
+    last_line: Option<Instant>,
+}
+
+impl Terminal {
+    /// Takes over Ctrl-C.
+    pub fn new() -> Terminal {
+        let interrupted = Arc::new(AtomicBool::new(false));
+        let flag = interrupted.clone();
+        // Without a handler Ctrl-C still ends the program, only less kindly.
+        let _ = ctrlc::set_handler(move || {
+            if flag.swap(true, Relaxed) {
+                std::process::exit(130);
+            }
+        });
+        let bar = std::io::stderr().is_terminal().then(|| {
+            let bar = ProgressBar::new_spinner();
+            bar.set_style(ProgressStyle::with_template("{spinner} {msg}").expect("a fixed template"));
+            bar.enable_steady_tick(std::time::Duration::from_millis(200));
+            bar
+        });
+        Terminal { bar, interrupted, last_line: None }
+    }
+
+    /// Removes the bar.
+    pub fn finish(&self) {
+        if let Some(bar) = &self.bar {
+            bar.finish_and_clear();
+        }
+    }
+
+    fn say(&self, text: String) {
+        match &self.bar {
+            Some(bar) => bar.set_message(text),
+            None => eprintln!("{text}"),
+        }
+    }
+}
+
+impl Observer for Terminal {
+    fn stage(&mut self, stage: Stage) {
+        let text = match stage {
+            Stage::Unwrap => "unwrapping",
+            Stage::Prepare => "preparing texels and rays",
+            Stage::Light => "tracing light",
+            Stage::Finish => "making maps",
+        };
+        self.say(text.into());
+    }
+
+    fn progress(&mut self, p: &Progress) {
+        if self.bar.is_none() {
+            if self.last_line.is_some_and(|t| t.elapsed().as_secs_f64() < LINE_EVERY) {
+                return;
+            }
+            self.last_line = Some(Instant::now());
+        }
+        let now = if p.percent.is_finite() { format!("{:.2} % now, ", p.percent) } else { String::new() };
+        let left = p.remaining.map_or(String::new(), |s| format!(" in {}", seconds(s)));
+        self.say(format!(
+            "{now}{} %{left} | {:.1} M rays, {:.2} M/s, {} so far",
+            p.target,
+            p.rays as f64 / 1e6,
+            p.rays_per_second / 1e6,
+            seconds(p.elapsed),
+        ));
+    }
+
+    fn warn(&mut self, warning: &Warning) {
+        let text = format!("warning: {} [{}]", warning.message, warning.code);
+        match &self.bar {
+            Some(bar) => bar.println(text),
+            None => eprintln!("{text}"),
+        }
+    }
+
+    fn cancelled(&self) -> bool {
+        self.interrupted.load(Relaxed)
+    }
+}
+
+/// Seconds as a person says them.
+pub fn seconds(s: f64) -> String {
+    match s {
+        s if s < 9.95 => format!("{s:.1} s"),
+        s if s < 120.0 => format!("{s:.0} s"),
+        s if s < 7200.0 => format!("{:.0} min {:02.0} s", (s / 60.0).floor(), s % 60.0),
+        s => format!("{:.1} h", s / 3600.0),
+    }
+}
