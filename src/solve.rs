@@ -209,11 +209,14 @@ impl Solver<'_, '_> {
         let mut left = round.photons;
         let mut limit = None;
         while left > 0 {
-            let bits = left.ilog2().clamp(LEAST_NET_BITS, LARGEST_NET_BITS);
-            if self.options.max_photons.is_some_and(|m| 2 * (self.photons + (1 << bits)) > m.max(2 << LEAST_NET_BITS)) {
+            // The smallest net is shot whatever the limit: without any, indirect light would be black.
+            let most = self.options.max_photons.map_or(u64::MAX, |m| (m / 2).max(1 << LEAST_NET_BITS));
+            let allowed = most.saturating_sub(self.photons);
+            if allowed < 1 << LEAST_NET_BITS {
                 limit = Some("max-photons");
                 break;
             }
+            let bits = left.min(allowed).ilog2().clamp(LEAST_NET_BITS, LARGEST_NET_BITS);
             for half in 0..2 {
                 // A half whose direct samples found no light sends out nothing, but its photons count.
                 if shooting.starts[half].total() > 0.0 {

@@ -4,6 +4,7 @@
 mod glb_reader;
 
 use evenlight::atlas::{Atlas, MeshLayout, Page, Placement, PrimitiveLayout};
+use evenlight::light::Lighting;
 use evenlight::lightmap::{Lightmap, LightmapPage};
 use evenlight::options::{Lights, Quantity};
 use evenlight::output::glb::{GlbInfo, GlbOptions, write};
@@ -498,7 +499,9 @@ fn the_manifest_names_every_baked_node_and_can_be_read_back() {
     let page = LightmapPage { width: 2, height: 1, coverage: vec![1.0, 0.5], ..Default::default() };
     let inputs = ManifestInputs { error_percent: vec![Some(1.5)], ..Default::default() };
     let quantity = Quantity::IrradianceOverPi;
-    let manifest = Manifest::new(&scene, &atlas, &Lightmap { pages: vec![page] }, quantity, Lights::Indirect, &inputs);
+    let lighting = Lighting::new(&scene, &Default::default()).unwrap();
+    let map = Lightmap { pages: vec![page] };
+    let manifest = Manifest::new(&scene, &atlas, &map, quantity, &lighting, Lights::Indirect, &inputs);
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("lightmap.json");
     manifest.write(&path).unwrap();

@@ -2,13 +2,12 @@
 
 use super::args::BakeArgs;
 use super::terminal::{Terminal, seconds};
-use evenlight::options::Lights;
 use evenlight::output::glb::{self, GlbOptions};
 use evenlight::output::lightmap_exr::{self, ExrSettings};
 use evenlight::output::manifest::{Manifest, ManifestInputs};
 use evenlight::output::{preview, write_atomically};
 use evenlight::report::Report;
-use evenlight::scene::{BakeMode, Camera, Projection, Scene};
+use evenlight::scene::{Camera, Projection, Scene};
 use evenlight::{Bake, BakeError, BakeOptions, bake};
 use std::path::{Path, PathBuf};
 
@@ -77,13 +76,8 @@ fn write_scene(
     options: &BakeOptions,
     remove_baked_lights: bool,
 ) -> Result<(), BakeError> {
-    let baked = |l: &&evenlight::scene::Light| l.bake == BakeMode::Full && options.lights == Lights::All;
-    let lights = if remove_baked_lights {
-        scene.lights.iter().filter(baked).filter_map(|l| l.node).collect()
-    } else {
-        Vec::new()
-    };
-    let glb = GlbOptions { remove_baked_lights: lights, ..GlbOptions::default() };
+    let lights = if remove_baked_lights { glb::fully_baked_lights(scene, options.lights) } else { Vec::new() };
+    let glb = GlbOptions { remove_baked_lights: lights };
     let info = glb::write(&folder.join("scene.glb"), &scene.source, scene, &bake.atlas, &glb)?;
     bake.report.warnings.extend(info.warnings);
 

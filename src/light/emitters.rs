@@ -353,7 +353,9 @@ fn to_frame(light: &Light, world: &World, settings: LightSettings) -> Punctual {
             (Shape::Spot { cos_outer: co, scale: 1.0 / (ci - co).max(1e-4) }, 1.0 / (m * m))
         }
         LightKind::Directional { angular_diameter } => {
-            (Shape::Directional { cos_radius: libm::cosf(angular_diameter * 0.5) }, 1.0)
+            // Lux count on a plane facing the light: the mean cosine over the disc belongs to them.
+            let cos_radius = libm::cos(f64::from(angular_diameter) * 0.5);
+            (Shape::Directional { cos_radius: cos_radius as f32 }, 2.0 / (1.0 + cos_radius))
         }
     };
     Punctual {

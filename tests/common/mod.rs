@@ -1,5 +1,12 @@
 //! What several tests share.
 #![allow(dead_code)]
 
+pub mod agreement;
+pub mod exr_reader;
+pub mod formulas;
 pub mod glb;
+pub mod path_tracer;
+pub mod random;
 pub mod rooms;
+pub mod runs;
+pub mod statistics;

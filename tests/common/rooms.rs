@@ -107,6 +107,91 @@ impl Builder {
         self.quad("+z", lo + z, y, x, material, t);
     }
 
+    /// The six faces of the box from `lo` to `hi`, seen from outside, `texels` squared each.
+    pub fn solid(&mut self, lo: Vec3, hi: Vec3, material: usize, texels: u32) {
+        let d = hi - lo;
+        let (x, y, z) = (Vec3::X * d.x, Vec3::Y * d.y, Vec3::Z * d.z);
+        let t = [texels; 2];
+        self.quad("solid -x", lo, z, y, material, t);
+        self.quad("solid +x", lo + x, y, z, material, t);
+        self.quad("solid -y", lo, x, z, material, t);
+        self.quad("solid +y", lo + y, z, x, material, t);
+        self.quad("solid -z", lo, y, x, material, t);
+        self.quad("solid +z", lo + z, x, y, material, t);
+    }
+
+    /// An L-shaped room seen from inside: the square from 0 to 4 along x and z without the quarter beyond 2,
+    /// 2 high. Walls meet floor and ceiling at whole quads, so that no edge ends inside another.
+    pub fn l_room(&mut self, material: usize, texels: u32) {
+        let (x, y, z) = (Vec3::X * 2.0, Vec3::Y * 2.0, Vec3::Z * 2.0);
+        let t = [texels; 2];
+        for (i, j) in [(0.0, 0.0), (1.0, 0.0), (0.0, 1.0)] {
+            let corner = x * i + z * j;
+            self.quad("floor", corner, z, x, material, t);
+            self.quad("ceiling", corner + y, x, z, material, t);
+        }
+        // Along the outline: the wall from `at` along `along` looks to the left of its way, into the room.
+        let outline = [
+            (z * 2.0, -z),
+            (z, -z),
+            (Vec3::ZERO, x),
+            (x, x),
+            (x * 2.0, z),
+            (x * 2.0 + z, -x),
+            (x + z, z),
+            (x + z * 2.0, -x),
+        ];
+        for (at, along) in outline {
+            self.quad("wall", at, along, y, material, t);
+        }
+    }
+
+    /// A sphere of radius `radius` about the origin seen from inside, of 20 * 4^`levels` triangles with texels of
+    /// their own.
+    pub fn inner_sphere(&mut self, radius: f32, levels: u32, material: usize, texels: u32) {
+        let g = (1.0 + 5f32.sqrt()) / 2.0;
+        let v: Vec<Vec3> = (0..12)
+            .map(|i| {
+                let (s, t) = (if i & 1 == 0 { 1.0 } else { -1.0 }, if i & 2 == 0 { g } else { -g });
+                [Vec3::new(0.0, s, t), Vec3::new(s, t, 0.0), Vec3::new(t, 0.0, s)][i / 4].normalize()
+            })
+            .collect();
+        let mut triangles = Vec::new();
+        // Corners at the distance of an edge span the 20 faces.
+        let edge = |a: Vec3, b: Vec3| a.dot(b) > 0.4;
+        for (i, &a) in v.iter().enumerate() {
+            for (j, &b) in v.iter().enumerate().skip(i + 1) {
+                for &c in v.iter().skip(j + 1).filter(|&&c| edge(a, b) && edge(b, c) && edge(a, c)) {
+                    let outward = (b - a).cross(c - a).dot(a) > 0.0;
+                    triangles.push(if outward { [a, c, b] } else { [a, b, c] });
+                }
+            }
+        }
+        for _ in 0..levels {
+            triangles = triangles
+                .into_iter()
+                .flat_map(|[a, b, c]| {
+                    // Halved in an order of their own, so that neighbours agree on the bits.
+                    let middle = |p: Vec3, q: Vec3| ((p + q) * 0.5).normalize();
+                    let (ab, bc, ca) = (middle(a, b), middle(b, c), middle(c, a));
+                    [[a, ab, ca], [ab, b, bc], [ca, bc, c], [ab, bc, ca]]
+                })
+                .collect();
+        }
+        let per_row = (self.page - GAP) / (texels + GAP);
+        let (mut positions, mut uvs) = (Vec::new(), Vec::new());
+        for (k, t) in triangles.iter().enumerate() {
+            let at = [k as u32 % per_row, k as u32 / per_row].map(|i| GAP + i * (texels + GAP));
+            assert!(at[1] + texels <= self.page, "the page is full");
+            for (p, [x, y]) in t.iter().zip([[0, 0], [texels, 0], [0, texels]]) {
+                positions.push(*p * radius);
+                uvs.push(Vec2::new((at[0] + x) as f32, (at[1] + y) as f32) / self.page as f32);
+            }
+        }
+        let indices = (0..triangles.len() as u32).map(|k| [3 * k, 3 * k + 1, 3 * k + 2]).collect();
+        self.triangles("sphere", positions, uvs, indices, material);
+    }
+
     pub fn point_light(&mut self, position: Vec3, candela: f32) {
         self.light(position, Vec3::NEG_Y, candela, LightKind::Point);
     }
@@ -130,6 +215,26 @@ impl Builder {
     pub fn finish(self) -> Scene {
         self.scene
     }
+}
+
+/// Five coloured walls and a front, a lamp under the ceiling that shines down, a box in the way.
+pub fn cornell(page: u32) -> Scene {
+    let mut b = Builder::new(page);
+    let mut coloured =
+        |r, g, blue| b.material(Material { base_color: Vec4::new(r, g, blue, 1.0), ..Material::default() });
+    let (white, red, green) = (coloured(0.7, 0.7, 0.7), coloured(0.6, 0.1, 0.08), coloured(0.15, 0.5, 0.1));
+    b.room(Vec3::ZERO, Vec3::splat(3.0), white, 8);
+    for (wall, material) in [(0, red), (1, green)] {
+        b.scene.meshes[wall].primitives[0].material = material;
+    }
+    b.solid(Vec3::new(0.75, 0.25, 0.5), Vec3::new(1.75, 1.25, 1.5), white, 4);
+    let lamp = b.material(Material {
+        base_color: Vec4::new(0.2, 0.2, 0.2, 1.0),
+        emission: Vec3::new(12.0, 9.0, 5.0),
+        ..Material::default()
+    });
+    b.quad("lamp", Vec3::new(1.0, 2.5, 1.25), Vec3::X, Vec3::Z, lamp, [4; 2]);
+    b.finish()
 }
 
 /// Options under which texels are plain means on the UVs of the scene.

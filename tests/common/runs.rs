@@ -1,0 +1,81 @@
+//! Figures of many bakes as independent samples.
+
+use super::rooms::run;
+use evenlight::scene::Scene;
+use evenlight::{Bake, BakeOptions};
+use glam::{DVec3, Vec3};
+use std::ops::Range;
+
+/// Options under which a bake ends after its first round, whatever its error: 4 direct samples per texel and half,
+/// at least 4096 photons per half. Nothing then depends on an estimate, and many bakes average to the truth.
+pub fn one_round(page: u32) -> BakeOptions {
+    super::rooms::plain(page, 1e9)
+}
+
+/// Figures of both halves of one bake per seed: `out[figure]` holds two independent samples for each seed.
+/// `figures` is given a bake and the irradiance of its texels from one half.
+pub fn samples<const N: usize>(
+    scene: &Scene,
+    options: &BakeOptions,
+    seeds: Range<u64>,
+    figures: impl Fn(&Bake, &[Vec3]) -> [f64; N],
+) -> [Vec<f64>; N] {
+    let mut out = std::array::from_fn(|_| Vec::new());
+    for seed in seeds {
+        let bake = run(scene, &BakeOptions { seed, ..options.clone() });
+        for half in [&bake.solution.total.odd, &bake.solution.total.even] {
+            for (to, x) in out.iter_mut().zip(figures(&bake, half)) {
+                to.push(x);
+            }
+        }
+    }
+    out
+}
+
+/// Irradiance of every texel in both halves of one bake per seed: `out[texel]` holds two samples for each seed.
+pub fn texel_samples(scene: &Scene, options: &BakeOptions, seeds: Range<u64>) -> Vec<Vec<Vec3>> {
+    let mut out = Vec::new();
+    for seed in seeds {
+        let bake = run(scene, &BakeOptions { seed, ..options.clone() });
+        out.resize(bake.texels.mapped, Vec::new());
+        for half in [&bake.solution.total.odd, &bake.solution.total.even] {
+            out.iter_mut().zip(half).for_each(|(to, e)| to.push(*e));
+        }
+    }
+    out
+}
+
+/// Mean over the channels.
+pub fn grey(e: Vec3) -> f64 {
+    f64::from(e.element_sum()) / 3.0
+}
+
+/// Mean irradiance over the area of the texels that `keep` selects, per channel [lux].
+pub fn area_mean(bake: &Bake, e: &[Vec3], keep: impl Fn(usize) -> bool) -> DVec3 {
+    let (mut sum, mut area) = (DVec3::ZERO, 0.0);
+    for i in (0..bake.texels.mapped).filter(|&i| keep(i)) {
+        let a = f64::from(bake.texels.texels[i].area);
+        sum += e[i].as_dvec3() * a;
+        area += a;
+    }
+    assert!(area > 0.0, "no texel selected");
+    sum / area
+}
+
+/// Mean irradiance over a node and the channels, front sides only [lux].
+pub fn node_mean(bake: &Bake, e: &[Vec3], instance: usize) -> f64 {
+    side_mean(bake, e, instance, false)
+}
+
+/// Mean irradiance over one side of a node and the channels [lux].
+pub fn side_mean(bake: &Bake, e: &[Vec3], instance: usize, back: bool) -> f64 {
+    let of_node =
+        |i: usize| bake.solution.weights.instance[i] as usize == instance && bake.texels.texels[i].back == back;
+    area_mean(bake, e, of_node).element_sum() / 3.0
+}
+
+/// Sum of irradiance times area over all texels of the map, mean of the channels [lux m2].
+pub fn flux(bake: &Bake, e: &[Vec3]) -> f64 {
+    let m2 = bake.world.frame.metres.powi(2);
+    (0..bake.texels.mapped).map(|i| grey(e[i]) * f64::from(bake.texels.texels[i].area) * m2).sum()
+}

@@ -1,0 +1,217 @@
+//! Energy, scaling and bytes: what must hold exactly.
+//!
+//! No test here has a tolerance. `run` asserts the integer balance of every bake of the whole suite.
+
+mod common;
+
+use common::rooms::{Builder, plain, run};
+use common::runs::one_round;
+use evenlight::accel::{Accel, Ray};
+use evenlight::light::Visibility;
+use evenlight::options::{DoubleSided, TexelValue};
+use evenlight::photon::{Deposit, EnergyLedger, Photon, walk};
+use evenlight::scene::{Alpha, LightKind, Material, Scene, Sky, World};
+use evenlight::{Bake, BakeOptions};
+use glam::{Vec3, Vec4};
+
+const PAGE: u32 = 128;
+
+/// A room with a window to a sky, a box in it, lights of all kinds and the given material on a sheet across it.
+fn mixed(sheet: Material) -> Scene {
+    let mut b = Builder::new(PAGE);
+    let white = b.material(Material { base_color: Vec4::new(0.8, 0.7, 0.6, 1.0), ..Material::default() });
+    b.quad("floor", Vec3::ZERO, Vec3::Z * 4.0, Vec3::X * 4.0, white, [16; 2]);
+    b.quad("left", Vec3::ZERO, Vec3::Y * 3.0, Vec3::Z * 4.0, white, [12, 16]);
+    b.quad("right", Vec3::X * 4.0, Vec3::Z * 4.0, Vec3::Y * 3.0, white, [16, 12]);
+    b.quad("back", Vec3::ZERO, Vec3::X * 4.0, Vec3::Y * 3.0, white, [16, 12]);
+    b.solid(Vec3::new(0.5, 0.0, 0.5), Vec3::new(1.5, 1.0, 1.5), white, 6);
+    let lamp = b.diffuse(0.3, 20.0);
+    b.quad("lamp", Vec3::new(1.0, 3.0, 1.0), Vec3::X * 2.0, Vec3::Z, lamp, [6, 3]);
+    let sheet = b.material(sheet);
+    b.quad("sheet", Vec3::new(2.5, 0.25, 0.25), Vec3::Y * 2.0, Vec3::Z * 3.0, sheet, [8, 12]);
+    b.point_light(Vec3::new(3.0, 1.0, 3.0), 10.0);
+    b.light(Vec3::new(2.0, 2.5, 2.0), Vec3::NEG_Y, 30.0, LightKind::Spot { inner: 0.2, outer: 0.6 });
+    b.light(Vec3::ZERO, Vec3::new(0.2, -1.0, -0.5), 40.0, LightKind::Directional { angular_diameter: 0.01 });
+    b.scene_mut().sky = Some(Sky::Constant(Vec3::new(1.0, 2.0, 4.0)));
+    b.finish()
+}
+
+/// Sheets of every kind that treats light in its own way.
+fn sheets() -> Vec<(&'static str, Material)> {
+    let tinted = Material { base_color: Vec4::new(0.9, 0.5, 0.1, 0.5), ..Material::default() };
+    let cutoff = 0.25;
+    vec![
+        ("opaque", tinted.clone()),
+        ("double-sided", Material { double_sided: true, ..tinted.clone() }),
+        ("blend", Material { alpha: Alpha::Blend, ..tinted.clone() }),
+        ("blend, double-sided", Material { alpha: Alpha::Blend, double_sided: true, ..tinted.clone() }),
+        ("mask, present", Material { alpha: Alpha::Mask { cutoff }, ..tinted.clone() }),
+        ("mask, absent", Material { alpha: Alpha::Mask { cutoff: 0.75 }, ..tinted.clone() }),
+        ("transmission", Material { transmission: 0.7, ..tinted.clone() }),
+        ("transmission, blend", Material { transmission: 0.7, alpha: Alpha::Blend, ..tinted.clone() }),
+        ("metal", Material { metallic: 1.0, ..tinted.clone() }),
+        ("unlit", Material { unlit: true, ..tinted.clone() }),
+        ("emitter", Material { emission: Vec3::ONE, double_sided: true, ..tinted }),
+    ]
+}
+
+/// Emitted + roulette = absorbed + absorbed on backs + escaped + cut in every kind of scene, with something in
+/// each term that the scene has a use for; and what is deposited is what arrives on receiving sides.
+#[test]
+fn the_balance_closes_in_integers() {
+    let mut total = EnergyLedger::default();
+    for (what, sheet) in sheets() {
+        for double_sided in [DoubleSided::Auto, DoubleSided::Split] {
+            let scene = mixed(sheet.clone());
+            let bake = run(&scene, &BakeOptions { double_sided, texel_value: TexelValue::Fit, ..one_round(PAGE) });
+            let ledger = bake.solution.ledger;
+            assert_eq!(ledger.imbalance(), [0; 3], "{what}");
+            assert!(ledger.emitted.iter().all(|&e| e > 0) && ledger.deposits > 0, "{what}");
+            assert_eq!(ledger.cut, [0; 3], "{what}");
+            total += &ledger;
+        }
+    }
+    assert!(total.escaped[0] > 0 && total.absorbed[0] > 0 && total.back_absorbed[0] > 0);
+}
+
+/// Nothing escapes from closed rooms, and no back is met in them.
+#[test]
+fn nothing_escapes_from_closed_rooms() {
+    let mut rooms: Vec<Builder> = (0..4).map(|_| Builder::new(PAGE)).collect();
+    for (k, b) in rooms.iter_mut().enumerate() {
+        let wall = b.diffuse(0.8, 0.0);
+        match k {
+            0 => b.room(Vec3::new(-1.0, 0.0, -3.0), Vec3::new(5.0, 2.5, 1.0), wall, 16),
+            1 => b.l_room(wall, 8),
+            2 => b.inner_sphere(1.7, 2, wall, 4),
+            _ => {
+                // Far from the origin, where f32 positions are coarse.
+                let at = Vec3::new(1000.0, 50.0, -3000.0);
+                b.room(at, at + Vec3::new(4.0, 3.0, 5.0), wall, 16);
+            }
+        }
+        b.point_light([Vec3::ONE, Vec3::ONE, Vec3::ZERO, Vec3::new(1001.0, 51.0, -2999.0)][k], 10.0);
+    }
+    for b in rooms {
+        let scene = b.finish();
+        let bake = run(&scene, &BakeOptions { max_photons: Some(1 << 18), target_percent: 0.01, ..plain(PAGE, 1.0) });
+        let ledger = bake.solution.ledger;
+        assert!(ledger.rays > 500_000);
+        assert_eq!((ledger.escaped, ledger.back_absorbed, ledger.cut), ([0; 3], [0; 3], [0; 3]));
+    }
+}
+
+/// The largest channel of a photon never changes on its way, through colour, glass and roulette.
+#[test]
+fn photons_weigh_the_same_all_the_way() {
+    for (what, sheet) in sheets() {
+        let scene = mixed(sheet);
+        let world = World::new(&scene);
+        let accel = Accel::build(&world.positions, |_| false);
+        let visibility = Visibility::new(&world, &accel);
+        let mut random = common::random::Random::new(3);
+        let mut deposits: Vec<Deposit> = Vec::new();
+        for _ in 0..2000 {
+            deposits.clear();
+            let direction = Vec3::from_array(std::array::from_fn(|_| random.normal() as f32));
+            let ray = Ray { origin: world.frame.from_world(glam::DVec3::splat(2.2)), direction, t_max: f32::INFINITY };
+            let photon = Photon { ray, flux: [1 << 24, 1 << 23, 1 << 22] };
+            let mut ledger = EnergyLedger::default();
+            walk(photon, &visibility, || (random.unit() * 4_294_967_296.0) as u32, &mut deposits, &mut ledger);
+            assert_eq!(ledger.imbalance(), [0; 3], "{what}");
+            for d in &deposits {
+                assert_eq!(d.flux.iter().max(), Some(&(1 << 24)), "{what}");
+            }
+        }
+    }
+}
+
+/// Bits of both halves of every texel.
+fn bits(bake: &Bake) -> Vec<[u32; 3]> {
+    let halves = &bake.solution.total;
+    halves.odd.iter().chain(&halves.even).map(|e| e.to_array().map(f32::to_bits)).collect()
+}
+
+fn assert_same(what: &str, a: &[[u32; 3]], b: &[[u32; 3]]) {
+    assert_eq!(a.len(), b.len(), "{what}");
+    let differing = a.iter().zip(b).filter(|(a, b)| a != b).count();
+    assert_eq!(differing, 0, "{what}: {differing} of {} values differ", a.len());
+}
+
+/// Options of a bake with several rounds.
+fn several_rounds() -> BakeOptions {
+    BakeOptions { max_photons: Some(1 << 16), ..plain(PAGE, 3.0) }
+}
+
+/// Every light times 2^k: every texel times 2^k, to the bit.
+#[test]
+fn light_is_linear() {
+    let (_, sheet) = sheets().swap_remove(3);
+    let base = mixed(sheet.clone());
+    let reference = run(&base, &several_rounds());
+    for k in [-7, 4, 20] {
+        let factor = 2f32.powi(k);
+        let mut scene = mixed(sheet.clone());
+        scene.lights.iter_mut().for_each(|l| l.intensity *= factor);
+        scene.materials.iter_mut().for_each(|m| m.emission *= factor);
+        scene.sky = Some(Sky::Constant(Vec3::new(1.0, 2.0, 4.0) * factor));
+        let mut bake = run(&scene, &several_rounds());
+        for e in bake.solution.total.odd.iter_mut().chain(&mut bake.solution.total.even) {
+            *e /= factor;
+        }
+        assert_same(&format!("2^{k}"), &bits(&reference), &bits(&bake));
+    }
+}
+
+/// The scene 2^k times as large and its point and spot lights 4^k times as strong: the same irradiance, to the bit.
+#[test]
+fn size_by_a_power_of_two_changes_nothing() {
+    let (_, sheet) = sheets().swap_remove(6);
+    let base = mixed(sheet.clone());
+    let reference = run(&base, &several_rounds());
+    for k in [-3, 1, 10] {
+        let factor = 2f32.powi(k);
+        let mut scene = mixed(sheet.clone());
+        for p in scene.meshes.iter_mut().flat_map(|m| &mut m.primitives).flat_map(|p| &mut p.positions) {
+            *p *= factor;
+        }
+        for l in &mut scene.lights {
+            l.position *= f64::from(factor);
+            if !matches!(l.kind, LightKind::Directional { .. }) {
+                l.intensity *= factor * factor;
+            }
+        }
+        assert_same(&format!("2^{k}"), &bits(&reference), &bits(&run(&scene, &several_rounds())));
+    }
+}
+
+/// The same bytes for any number of threads, and again.
+#[test]
+fn threads_change_nothing() {
+    let (_, sheet) = sheets().swap_remove(3);
+    let scene = mixed(sheet);
+    let with = |threads| {
+        let bake = run(&scene, &BakeOptions { threads, ..several_rounds() });
+        let maps: Vec<[u32; 3]> =
+            bake.lightmap.pages.iter().flat_map(|p| &p.irradiance).map(|e| e.map(f32::to_bits)).collect();
+        let report = (bake.report.texel_error_percent.to_bits(), bake.report.work.photon_rays, bake.solution.ledger);
+        (bits(&bake), maps, report)
+    };
+    let reference = with(1);
+    for threads in [1, 2, 7] {
+        let again = with(threads);
+        assert_same("texels", &reference.0, &again.0);
+        assert_same("maps", &reference.1, &again.1);
+        assert_eq!(reference.2, again.2, "{threads} threads");
+    }
+}
+
+/// Another seed is another bake.
+#[test]
+fn seeds_differ() {
+    let (_, sheet) = sheets().swap_remove(0);
+    let scene = mixed(sheet);
+    let [a, b] = [1, 2].map(|seed| bits(&run(&scene, &BakeOptions { seed, ..one_round(PAGE) })));
+    let same = a.iter().zip(&b).filter(|(a, b)| a == b).count();
+    assert!(same < a.len() / 10, "{same} of {} values are the same", a.len());
+}

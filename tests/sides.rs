@@ -1,0 +1,358 @@
+//! Which side of a surface light meets, what passes it, and what happens to surfaces without a place on the map.
+
+mod common;
+
+use common::formulas::{QuadMap, point_irradiance, polygon_irradiance};
+use common::rooms::{Builder, plain, run};
+use common::runs::{area_mean, node_mean, one_round, samples, side_mean, texel_samples};
+use common::statistics::{ALPHA, expect_mean, normal_upper_quantile, sidak, welch_score};
+use evenlight::options::DoubleSided;
+use evenlight::scene::{Alpha, LightKind, Material, Scene, Texture, TextureRef, Wrap};
+use evenlight::{Bake, BakeOptions};
+use glam::{Affine2, DAffine3, DVec3, Vec2, Vec3, Vec4};
+use std::f64::consts::PI;
+
+const PAGE: u32 = 64;
+
+/// A sheet of 2 m in the plane y = 0, its front up, with a lamp of 10 cd 1 m above and one of 30 cd 1 m below.
+fn between_two_lamps(material: Material) -> Scene {
+    let mut b = Builder::new(PAGE);
+    let material = b.material(material);
+    b.quad("sheet", Vec3::new(-1.0, 0.0, -1.0), Vec3::Z * 2.0, Vec3::X * 2.0, material, [8; 2]);
+    b.point_light(Vec3::Y, 10.0);
+    b.point_light(Vec3::NEG_Y, 30.0);
+    b.finish()
+}
+
+/// Mean irradiance of that sheet from one lamp.
+fn from_lamp(candela: f64) -> f64 {
+    let scene = between_two_lamps(Material::default());
+    let quad = QuadMap::of(&scene, 0, PAGE);
+    let texels = (0..64).map(|k| (quad.origin[0] + k % 8, quad.origin[1] + k / 8));
+    texels.map(|(x, y)| quad.texel_mean(x, y, |p| point_irradiance(p, DVec3::Y, DVec3::Y, candela))).sum::<f64>() / 64.0
+}
+
+#[test]
+fn one_sided_surfaces_receive_on_their_front() {
+    let scene = between_two_lamps(Material::default());
+    let [front] = samples(&scene, &one_round(PAGE), 0..16, |bake, e| {
+        assert!(bake.texels.texels[..bake.texels.mapped].iter().all(|t| !t.back));
+        [node_mean(bake, e, 0)]
+    });
+    expect_mean("front", &front, from_lamp(10.0), 0.01, 1);
+}
+
+/// A mirrored node still has its front where the file says: its normal is mirrored with it.
+#[test]
+fn mirrored_and_turned_nodes_keep_their_front() {
+    // (transform, candela of the lamp that the front sees)
+    let cases = [
+        (DAffine3::from_scale(DVec3::new(-1.0, 1.0, 1.0)), 10.0),
+        (DAffine3::from_scale(DVec3::new(1.0, 1.0, -1.0)), 10.0),
+        (DAffine3::from_scale(DVec3::new(1.0, -1.0, 1.0)), 30.0),
+        (DAffine3::from_scale(DVec3::NEG_ONE), 30.0),
+        (DAffine3::from_rotation_x(PI), 30.0),
+    ];
+    for (transform, candela) in cases {
+        let mut scene = between_two_lamps(Material::default());
+        scene.instances[0].world_from_object = transform;
+        let [front] = samples(&scene, &one_round(PAGE), 0..16, |bake, e| [node_mean(bake, e, 0)]);
+        expect_mean(&format!("{transform:?}"), &front, from_lamp(candela), 0.01, cases.len());
+    }
+}
+
+#[test]
+fn double_sided_surfaces_receive_on_both_sides() {
+    let scene = between_two_lamps(Material { double_sided: true, ..Material::default() });
+    let [front, back] =
+        samples(&scene, &one_round(PAGE), 0..16, |bake, e| [side_mean(bake, e, 0, false), side_mean(bake, e, 0, true)]);
+    expect_mean("front", &front, from_lamp(10.0), 0.01, 2);
+    expect_mean("back", &back, from_lamp(30.0), 0.01, 2);
+
+    // Stored: the brighter side, the front, or both.
+    let stored = |double_sided| {
+        let bake = run(&scene, &BakeOptions { double_sided, ..one_round(PAGE) });
+        let page = &bake.lightmap.pages[0];
+        let mean = |layer: &[[f32; 3]]| {
+            let lit = layer.iter().zip(&page.coverage).filter(|(_, c)| **c > 0.0);
+            lit.map(|(e, _)| f64::from(e[0])).sum::<f64>() / 64.0
+        };
+        (mean(&page.irradiance), if page.back.is_empty() { None } else { Some(mean(&page.back)) })
+    };
+    let near = |found: f64, candela: f64| assert!((found / from_lamp(candela) - 1.0).abs() < 0.05, "{found}");
+    let (auto, none) = stored(DoubleSided::Auto);
+    near(auto, 30.0);
+    assert_eq!(none, None);
+    let (front, none) = stored(DoubleSided::Front);
+    near(front, 10.0);
+    assert_eq!(none, None);
+    let (front, back) = stored(DoubleSided::Split);
+    near(front, 10.0);
+    near(back.expect("a layer of backs"), 30.0);
+}
+
+/// A room whose walls are turned inside out receives nothing and swallows all light.
+#[test]
+fn backs_absorb() {
+    let mut b = Builder::new(PAGE);
+    let wall = b.diffuse(0.9, 0.0);
+    b.solid(Vec3::ZERO, Vec3::splat(2.0), wall, 8);
+    // A tile inside that reflects: its photons all end on backs.
+    b.quad("tile", Vec3::new(0.5, 0.5, 0.5), Vec3::Z, Vec3::X, wall, [4; 2]);
+    b.point_light(Vec3::new(1.0, 1.5, 1.0), 10.0);
+    let scene = b.finish();
+    let bake = run(&scene, &one_round(PAGE));
+    for i in 0..bake.texels.mapped {
+        let inside = bake.solution.weights.instance[i] == 6;
+        assert_eq!(bake.solution.total.mean(i) == Vec3::ZERO, !inside);
+    }
+    let ledger = bake.solution.ledger;
+    assert_eq!((ledger.deposits, ledger.escaped, ledger.back_absorbed), (0, [0; 3], ledger.emitted));
+}
+
+/// A room with a table that may be left out of the bake.
+fn furnished(bake_table: bool) -> Scene {
+    let mut b = Builder::new(128);
+    let wall = b.material(Material { base_color: Vec4::new(0.7, 0.5, 0.3, 1.0), ..Material::default() });
+    b.room(Vec3::ZERO, Vec3::new(3.0, 2.0, 4.0), wall, 8);
+    let table = b.material(Material { base_color: Vec4::new(0.3, 0.6, 0.9, 1.0), ..Material::default() });
+    b.solid(Vec3::new(1.0, 0.25, 1.0), Vec3::new(2.0, 1.0, 3.0), table, 8);
+    b.point_light(Vec3::new(0.5, 1.75, 0.5), 10.0);
+    let lamp = b.diffuse(0.0, 5.0);
+    b.quad("lamp", Vec3::new(1.0, 1.75, 1.5), Vec3::X, Vec3::Z, lamp, [4; 2]);
+    let mut scene = b.finish();
+    scene.instances[6..12].iter_mut().for_each(|i| i.bake = bake_table);
+    scene
+}
+
+/// Leaving a mesh out of the bake changes no other texel in expectation. 384 texels of the walls, and the means of
+/// the six walls, which see a difference of about 1 %.
+#[test]
+fn excluding_a_mesh_changes_no_other_texel() {
+    let options = BakeOptions { max_photons: Some(1 << 16), ..plain(128, 0.5) };
+    let (with, without) = (furnished(true), furnished(false));
+    let layout = run(&without, &one_round(128));
+    assert!(layout.report.atlas.transport_texels > 0);
+    assert!(layout.solution.weights.instance.iter().all(|&i| !(6..12).contains(&i)));
+
+    let place = |bake: &Bake| -> Vec<_> { (0..bake.texels.mapped).map(|i| bake.texels.page_position(i)).collect() };
+    let (all, left) = (place(&run(&with, &one_round(128))), place(&layout));
+    let (a, b) = (texel_samples(&with, &options, 0..16), texel_samples(&without, &options, 100..116));
+    let channel = |samples: &[Vec3], c: usize| samples.iter().map(|e| f64::from(e[c])).collect::<Vec<_>>();
+    let limit = normal_upper_quantile(0.25 * sidak(ALPHA, 3 * left.len()));
+    for (i, at) in left.iter().enumerate() {
+        let same = all.iter().position(|p| p == at).expect("the texel is in both bakes");
+        for c in 0..3 {
+            let z = welch_score(&channel(&a[same], c), &channel(&b[i], c)).unwrap_or(0.0);
+            assert!(z.abs() < limit, "texel {i}, channel {c}: score {z}");
+        }
+    }
+
+    let walls = |bake: &Bake, e: &[Vec3]| std::array::from_fn::<_, 6, _>(|i| node_mean(bake, e, i));
+    let (a, b) = (samples(&with, &options, 200..216, walls), samples(&without, &options, 300..316, walls));
+    for (i, (a, b)) in a.iter().zip(&b).enumerate() {
+        let z = welch_score(a, b).expect("there is noise");
+        assert!(z.abs() < normal_upper_quantile(0.25 * sidak(ALPHA, 6)), "wall {i}: score {z}");
+    }
+}
+
+/// Two rooms share one floor and one ceiling; between them stands a wall without thickness. With light in one room
+/// only, the other is black: exactly, in every texel that the wall does not stand on.
+#[test]
+fn no_light_passes_under_a_thin_wall() {
+    // With 32 columns the wall stands between two texels, with 33 in the middle of one.
+    for columns in [32, 33] {
+        for double_sided in [true, false] {
+            let mut b = Builder::new(128);
+            let wall = b.diffuse(0.8, 0.0);
+            let (x, y, z) = (Vec3::X * 6.0, Vec3::Y * 2.5, Vec3::Z * 4.0);
+            b.quad("floor", Vec3::ZERO, z, x, wall, [16, columns]);
+            b.quad("ceiling", y, x, z, wall, [columns, 16]);
+            b.quad("left", Vec3::ZERO, y, z, wall, [10, 16]);
+            b.quad("right", x, z, y, wall, [16, 10]);
+            b.quad("back", Vec3::ZERO, x, y, wall, [columns, 10]);
+            b.quad("front", z, y, x, wall, [10, columns]);
+            let sheet =
+                b.material(Material { base_color: Vec4::new(0.8, 0.8, 0.8, 1.0), double_sided, ..Material::default() });
+            // Its front looks into the dark room.
+            b.quad("sheet", x * 0.5, y, z, sheet, [10, 16]);
+            b.point_light(Vec3::new(1.0, 1.0, 2.0), 1e6);
+            let scene = b.finish();
+            let options =
+                BakeOptions { max_photons: Some(1 << 19), double_sided: DoubleSided::Split, ..plain(128, 0.1) };
+            let bake = run(&scene, &options);
+            let width = 6.0 / f64::from(columns);
+            let (mut dark, mut lit) = (0, 0);
+            for i in 0..bake.texels.mapped {
+                let e = bake.solution.total.mean(i);
+                let centre = common::rooms::centre(&bake, i);
+                let of_sheet = bake.solution.weights.instance[i] == 6;
+                let on_dark_side = if of_sheet { !bake.texels.texels[i].back } else { centre.x - 3.0 > 0.51 * width };
+                if on_dark_side {
+                    assert_eq!(e, Vec3::ZERO, "{columns} columns, texel at {centre}");
+                    dark += 1;
+                } else if of_sheet || 3.0 - centre.x > 0.51 * width {
+                    assert!(e.min_element() > 0.0, "{columns} columns, texel at {centre}");
+                    lit += 1;
+                }
+            }
+            assert!(dark > 800 && lit > 800);
+        }
+    }
+}
+
+/// A black tile of 1 m under a sheet under a panel: the panel faces down and is lit from the side by a sun that the
+/// sheet does not meet; the sheet covers all ways from panel to tile. With `sun_above` there is no
+/// panel, and a sun shines straight down instead.
+fn through_a_sheet(sheet: Material, sun_above: bool, texture: Option<Texture>) -> Scene {
+    let mut b = Builder::new(PAGE);
+    let black = b.diffuse(0.0, 0.0);
+    let (x, z) = (Vec3::X, Vec3::Z);
+    let corner = Vec3::new(-0.5, 0.0, -0.5);
+    b.quad("tile", corner, z, x, black, [8; 2]);
+    let material = b.material(sheet);
+    let sheet = b.quad("sheet", Vec3::new(-0.75, 1.0, -0.75), z * 1.5, x * 1.5, material, [6; 2]);
+    if sun_above {
+        b.light(Vec3::ZERO, Vec3::NEG_Y, 100.0, LightKind::Directional { angular_diameter: 0.0 });
+    } else {
+        let grey = b.diffuse(0.5, 0.0);
+        b.quad("panel", corner + Vec3::Y * 2.0, x, z, grey, [8; 2]);
+        b.light(Vec3::ZERO, Vec3::new(1.0, 0.375, 0.0), 1000.0, LightKind::Directional { angular_diameter: 0.0 });
+    }
+    if let Some(texture) = texture {
+        b.scene_mut().textures.push(texture);
+        // u runs along x here.
+        b.scene_mut().meshes[sheet].primitives[0].tex_coords[0] = vec![Vec2::ZERO, Vec2::Y, Vec2::ONE, Vec2::X];
+    }
+    b.finish()
+}
+
+/// Sheets without reflection, and the share of light per channel that passes.
+fn passing_sheets() -> Vec<(&'static str, Material, [f64; 3])> {
+    let black = Material { base_color: Vec4::new(0.0, 0.0, 0.0, 0.5), ..Material::default() };
+    let glass = Material { base_color: Vec4::new(0.9, 0.5, 0.125, 1.0), transmission: 1.0, ..Material::default() };
+    let faint = Material { base_color: glass.base_color.with_w(0.5), alpha: Alpha::Blend, ..glass.clone() };
+    vec![
+        ("opaque", black.clone(), [0.0; 3]),
+        ("mask, present", Material { alpha: Alpha::Mask { cutoff: 0.5 }, ..black.clone() }, [0.0; 3]),
+        ("mask, absent", Material { alpha: Alpha::Mask { cutoff: 0.51 }, ..black.clone() }, [1.0; 3]),
+        ("blend", Material { alpha: Alpha::Blend, ..black.clone() }, [0.5; 3]),
+        ("blend, double-sided", Material { alpha: Alpha::Blend, double_sided: true, ..black }, [0.5; 3]),
+        ("glass", glass.clone(), [0.9, 0.5, 0.125]),
+        ("glass, double-sided", Material { double_sided: true, ..glass }, [0.9, 0.5, 0.125]),
+        ("glass, half there", faint, [0.95, 0.75, 0.5625]),
+    ]
+}
+
+#[test]
+fn direct_light_through_sheets() {
+    for (what, sheet, share) in passing_sheets() {
+        let bake_scene = through_a_sheet(sheet, true, None);
+        let bake = run(&bake_scene, &one_round(PAGE));
+        for i in (0..bake.texels.mapped).filter(|&i| bake.solution.weights.instance[i] == 0) {
+            let e = bake.solution.total.mean(i);
+            for c in 0..3 {
+                assert!((f64::from(e[c]) - 100.0 * share[c]).abs() < 1e-3, "{what}: {e} for {share:?}");
+            }
+        }
+    }
+}
+
+/// Radiance of the panel: half of what it gets from of 1000 lux by its cosine, over pi.
+fn panel_radiance() -> f64 {
+    0.5 / PI * 1000.0 * 0.375 / 1f64.hypot(0.375)
+}
+
+/// The part of the panel with x below `limit` as seen from `p`.
+fn panel_irradiance(p: DVec3, limit: f64) -> f64 {
+    let x1 = limit.clamp(-0.5, 0.5);
+    let corners = [(-0.5, -0.5), (x1, -0.5), (x1, 0.5), (-0.5, 0.5)].map(|(x, z)| DVec3::new(x, 2.0, z));
+    if x1 <= -0.5 { 0.0 } else { polygon_irradiance(p, DVec3::Y, &corners, panel_radiance()) }
+}
+
+/// Photons from the panel: Lambert's formula times the share that passes, per channel.
+#[test]
+fn reflected_light_through_sheets() {
+    let sheets = passing_sheets();
+    let tests = 3 * sheets.len();
+    for (what, sheet, share) in sheets {
+        let scene = through_a_sheet(sheet, false, None);
+        let quad = QuadMap::of(&scene, 0, PAGE);
+        let expected = mean_of_tile(&quad, |p| panel_irradiance(p, 0.5));
+        let found = samples(&scene, &one_round(PAGE), 0..40, |bake, e| {
+            area_mean(bake, e, |i| bake.solution.weights.instance[i] == 0).to_array()
+        });
+        for c in 0..3 {
+            if share[c] == 0.0 {
+                assert!(found[c].iter().all(|&e| e == 0.0), "{what}");
+            } else {
+                expect_mean(what, &found[c], expected * share[c], 0.05, tests);
+            }
+        }
+    }
+}
+
+fn mean_of_tile(quad: &QuadMap, e: impl Fn(DVec3) -> f64) -> f64 {
+    let texels = (0..64).map(|k| (quad.origin[0] + k % 8, quad.origin[1] + k / 8));
+    texels.map(|(x, y)| quad.texel_mean(x, y, &e)).sum::<f64>() / 64.0
+}
+
+/// A sheet whose texture has no surface where x < 0: the tile sees the sun there, and of the panel what lies beyond
+/// the edge of the hole.
+#[test]
+fn light_through_a_hole_in_a_texture() {
+    let picture = image::RgbaImage::from_fn(2, 1, |x, _| image::Rgba([0, 0, 0, if x == 0 { 0 } else { 255 }]));
+    let mut png = std::io::Cursor::new(Vec::new());
+    picture.write_to(&mut png, image::ImageFormat::Png).expect("writing to memory");
+    let texture = || Texture::new("hole".into(), png.get_ref().as_slice().into(), [Wrap::Clamp; 2], true);
+    let sheet = Material {
+        base_color_texture: Some(TextureRef { texture: 0, tex_coord: 0, transform: Affine2::IDENTITY }),
+        alpha: Alpha::Mask { cutoff: 0.5 },
+        ..Material::default()
+    };
+    let direct = through_a_sheet(sheet.clone(), true, Some(texture()));
+    let bake = run(&direct, &one_round(PAGE));
+    for i in (0..bake.texels.mapped).filter(|&i| bake.solution.weights.instance[i] == 0) {
+        let lit = common::rooms::centre(&bake, i).x < 0.0;
+        let e = bake.solution.total.mean(i).x;
+        assert!((e - if lit { 100.0 } else { 0.0 }).abs() < 1e-3, "{e}");
+    }
+
+    let reflected = through_a_sheet(sheet, false, Some(texture()));
+    let quad = QuadMap::of(&reflected, 0, PAGE);
+    let halves = samples(&reflected, &one_round(PAGE), 0..96, |bake, e| {
+        [true, false].map(|left| {
+            let keep = |i| bake.solution.weights.instance[i] == 0 && (common::rooms::centre(bake, i).x < 0.0) == left;
+            area_mean(bake, e, keep).x
+        })
+    });
+    for (left, found) in [true, false].into_iter().zip(&halves) {
+        // From p the edge at x = 0, 1 m up, hides what lies beyond -p.x, 2 m up.
+        let expected = 2.0 * mean_of_tile(&quad, |p| if (p.x < 0.0) == left { panel_irradiance(p, -p.x) } else { 0.0 });
+        expect_mean("behind the hole", found, expected, 0.1, 2);
+    }
+}
+
+/// Sheets that reflect or pass all light take none from a closed room: sum E a = Phi / (1 - rho) over its walls.
+#[test]
+fn lossless_sheets_in_a_closed_room() {
+    let white = Material { base_color: Vec4::new(1.0, 1.0, 1.0, 0.5), double_sided: true, ..Material::default() };
+    for (what, sheet) in [
+        ("blend", Material { alpha: Alpha::Blend, ..white.clone() }),
+        ("transmission", Material { transmission: 0.6, ..white.clone() }),
+        ("opaque", white),
+    ] {
+        let mut b = Builder::new(128);
+        let wall = b.diffuse(0.6, 0.0);
+        b.room(Vec3::ZERO, Vec3::new(3.0, 2.0, 4.0), wall, 12);
+        let sheet = b.material(sheet);
+        b.quad("sheet", Vec3::new(0.5, 0.5, 2.0), Vec3::X * 2.0, Vec3::Y, sheet, [8, 4]);
+        b.point_light(Vec3::new(1.5, 1.0, 1.0), 10.0);
+        let scene = b.finish();
+        let [walls] = samples(&scene, &one_round(128), 0..32, |bake, e| {
+            let of_walls = |i: usize| bake.solution.weights.instance[i] < 6;
+            [area_mean(bake, e, of_walls).x * 52.0]
+        });
+        expect_mean(what, &walls, 4.0 * PI * 10.0 / 0.4, 0.015, 3);
+    }
+}
