@@ -1,7 +1,7 @@
 //! The pipeline on one page.
 
 use crate::accel::Accel;
-use crate::accuracy::{TexelWeights, mesh_errors};
+use crate::accuracy::{Pools, TexelWeights, mesh_errors};
 use crate::atlas::{self, Atlas, Texels};
 use crate::error::{BakeError, Warning};
 use crate::light::{Emitters, LightSettings, Lighting, Visibility, open_shares};
@@ -59,8 +59,8 @@ fn bake_here<'s>(scene: &'s Scene, options: &BakeOptions, observer: &mut dyn Obs
     seconds.atlas = clock.lap();
 
     observer.stage(Stage::Prepare);
+    atlas::check_memory(scene, &atlas, options.memory_limit)?;
     let world = World::new(scene);
-    atlas::check_memory(&world, &atlas, options.memory_limit)?;
     let texels = Texels::new(&world, &atlas);
     seconds.texels = clock.lap();
     let accel = Accel::build(&world.positions, |t| world.flags[t as usize].has(SurfaceFlags::DEGENERATE));
@@ -75,8 +75,10 @@ fn bake_here<'s>(scene: &'s Scene, options: &BakeOptions, observer: &mut dyn Obs
     seconds.open = clock.lap();
 
     observer.stage(Stage::Light);
-    let path = LightPath { texels: &texels, open: &open, emitters: &emitters, visibility: &visibility };
     let weights = TexelWeights::new(&world, &texels, &open);
+    let pitch = 1.0 / (atlas.texels_per_metre * world.frame.metres);
+    let pools = Pools::new(&world, &texels, &weights.instance, &open, pitch);
+    let path = LightPath { texels: &texels, open: &open, pools: &pools, emitters: &emitters, visibility: &visibility };
     let solution = solve(path, weights, options, clock.began, observer)?;
     [seconds.direct, seconds.photons, seconds.estimate] = solution.seconds;
     clock.lap();
@@ -86,6 +88,7 @@ fn bake_here<'s>(scene: &'s Scene, options: &BakeOptions, observer: &mut dyn Obs
     let mut report = report(&world, &atlas, &texels, &open, &solution, &lighting, options);
     (report.work.emissive_triangles, report.work.lights) = emitters.counts();
     report.work.probe_rays = probe_rays;
+    report.atlas.pooled_texels = pools.len();
     if emitters.is_empty() {
         report.warnings.push(Warning::new(
             "no-light",
@@ -110,9 +113,14 @@ fn report(
 ) -> Report {
     let scene = world.scene;
     let metres2 = world.frame.metres * world.frame.metres;
-    let (meshes, area_within_target) =
-        mesh_errors(world, &solution.total, &solution.weights, solution.error.mean, options.target_percent);
-    let target_mesh_percent = options.target_mesh_percent.unwrap_or(3.0 * options.target_percent);
+    let (meshes, area_within_target) = mesh_errors(
+        world,
+        &solution.total,
+        &solution.total,
+        &solution.weights,
+        solution.error.mean,
+        options.target_percent,
+    );
     let area = |share: &dyn Fn(usize) -> f64| {
         (0..texels.mapped).map(|i| f64::from(texels.texels[i].area) * share(i)).sum::<f64>() * metres2
     };
@@ -126,7 +134,7 @@ fn report(
         seed: options.seed,
         quantity: options.quantity,
         target_percent: options.target_percent,
-        target_mesh_percent,
+        target_mesh_percent: options.mesh_target(),
         target_met: solution.limit.is_none(),
         limit: solution.limit,
         sigma: 0.0,
@@ -158,6 +166,7 @@ fn report(
             charts: atlas.first_chart.last().copied().unwrap_or(0),
             texels: texels.texels[..texels.mapped].iter().filter(|t| !t.back).count(),
             transport_texels: texels.texels.len() - texels.mapped,
+            pooled_texels: 0,
             utilization: texels.texels[..texels.mapped].iter().filter(|t| !t.back).count() as f64
                 / atlas.pages.iter().map(|p| f64::from(p.width) * f64::from(p.height)).sum::<f64>().max(1.0),
             texels_per_metre: atlas.texels_per_metre,

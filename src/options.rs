@@ -189,6 +189,11 @@ pub enum Quantity {
 }
 
 impl BakeOptions {
+    /// The target per mesh in force. Unit: percent.
+    pub fn mesh_target(&self) -> f64 {
+        self.target_mesh_percent.unwrap_or(3.0 * self.target_percent)
+    }
+
     /// Checks ranges and contradictions.
     ///
     /// # Errors

@@ -171,6 +171,8 @@ pub struct AtlasSummary {
     pub texels: usize,
     /// Texels of surfaces without a place on the map, which only reflect.
     pub transport_texels: usize,
+    /// Texels too small to catch photons, which share the indirect light of those around them.
+    pub pooled_texels: usize,
     /// Share of the pages' texels that hold surface.
     pub utilization: f64,
     /// Density where nothing asks for another.

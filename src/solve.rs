@@ -5,7 +5,7 @@
 //! the next round is sized so that the target is met with the fewest rays. All decisions are made between
 //! rounds from sums in fixed order; only a time limit can make two runs differ.
 
-use crate::accuracy::{ErrorEstimate, Halves, TexelWeights, estimate_error, mesh_errors};
+use crate::accuracy::{ErrorEstimate, Halves, Pools, TexelWeights, estimate_error, mesh_errors};
 use crate::atlas::{NO_CHART, Texels};
 use crate::error::BakeError;
 use crate::light::{Direct, Emitters, Visibility};
@@ -46,6 +46,8 @@ pub struct LightPath<'a> {
     pub texels: &'a Texels,
     /// Open share of the area of each texel of the map.
     pub open: &'a [f32],
+    /// Where texels too small to catch photons take their indirect light from.
+    pub pools: &'a Pools,
     /// What shines.
     pub emitters: &'a Emitters,
     /// What rays meet.
@@ -67,6 +69,8 @@ pub struct Solution {
     pub indirect_error: ErrorEstimate,
     /// Error that 95 % of the meshes are under.
     pub mesh_percent: f64,
+    /// Variance of the direct and the indirect part of what binds, in percent squared.
+    variances: (f64, f64),
     /// Which limit ended it before the targets were met.
     pub limit: Option<&'static str>,
     /// One entry per round.
@@ -276,7 +280,7 @@ impl Solver<'_, '_> {
     /// Factor by which the variance must fall, >= 1 while a target is unmet.
     fn reduction_needed(&self, s: &Solution) -> f64 {
         let target = self.options.target_percent;
-        let mesh = self.options.target_mesh_percent.unwrap_or(3.0 * target);
+        let mesh = self.options.mesh_target();
         (s.error.high / target).max(s.mesh_percent / mesh).powi(2)
     }
 
@@ -286,7 +290,7 @@ impl Solver<'_, '_> {
         if needed <= 1.0 {
             return None;
         }
-        let (a, b) = (s.direct_error.percent.powi(2), s.indirect_error.percent.powi(2));
+        let (a, b) = s.variances;
         let goal = (a + b) / needed * MARGIN * MARGIN;
         let (ra, rb) = (self.direct.rays().max(1) as f64, self.ledger.rays.max(1) as f64);
         let share = (a * ra).sqrt() + (b * rb).sqrt();
@@ -324,15 +328,30 @@ impl Solver<'_, '_> {
         let error = estimate_error(&total, &total, &weights);
         let direct_error = estimate_error(&direct, &total, &weights);
         let indirect_error = estimate_error(&indirect, &total, &weights);
-        let (meshes, _) =
-            mesh_errors(self.path.visibility.world, &total, &weights, error.mean, self.options.target_percent);
+        let world = self.path.visibility.world;
+        let (target, mesh_target) = (self.options.target_percent, self.options.mesh_target());
+        let per_mesh = |part: &Halves| mesh_errors(world, part, &total, &weights, error.mean, target).0;
+        let meshes = per_mesh(&total);
+        let mesh_percent = percentile_95(&meshes);
+        let variances = if mesh_percent / mesh_target > error.high / target {
+            // The meshes bind: what counts is the noise of those that miss their target.
+            let missed = |part: &Halves| {
+                let part = per_mesh(part);
+                let missing = meshes.iter().zip(&part).filter(|(m, _)| m.error_percent > mesh_target);
+                missing.map(|(_, p)| p.error_percent.powi(2)).sum::<f64>()
+            };
+            (missed(&direct), missed(&indirect))
+        } else {
+            (direct_error.percent.powi(2), indirect_error.percent.powi(2))
+        };
         Solution {
             total,
             weights,
             error,
             direct_error,
             indirect_error,
-            mesh_percent: percentile_95(&meshes),
+            mesh_percent,
+            variances,
             limit: None,
             history: Vec::new(),
             direct_samples: self.direct.samples(),
@@ -350,7 +369,7 @@ impl Solver<'_, '_> {
     }
 
     fn indirect_halves(&self) -> Halves {
-        let LightPath { texels, open, .. } = self.path;
+        let LightPath { texels, open, pools, .. } = self.path;
         let Some(flux) = self.flux.filter(|_| self.photons > 0) else {
             return Halves { odd: vec![Vec3::ZERO; open.len()], even: vec![Vec3::ZERO; open.len()] };
         };
@@ -359,7 +378,11 @@ impl Solver<'_, '_> {
             let per_area = per_photon / f64::from(texels.texels[i].area) * f64::from(per_open(open[i]));
             Vec3::from_array(bins.flux(h, i).map(|f| (f as f64 * per_area) as f32))
         };
-        let half = |h| (0..open.len()).into_par_iter().map(|i| value(h, i)).collect();
+        let half = |h| {
+            let mut values: Vec<Vec3> = (0..open.len()).into_par_iter().map(|i| value(h, i)).collect();
+            pools.apply(&mut values, |i| texels.texels[i].area * open[i]);
+            values
+        };
         Halves { odd: half(0), even: half(1) }
     }
 

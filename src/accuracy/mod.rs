@@ -9,6 +9,8 @@
 
 mod estimate;
 mod interval;
+mod pools;
 
 pub use estimate::{ErrorEstimate, Halves, MeshError, TexelWeights, estimate_error, mesh_errors};
 pub use interval::{chi_square_quantile, normal_quantile};
+pub use pools::Pools;
