@@ -237,7 +237,11 @@ fn results_that_cannot_be_written_return_1_and_leave_nothing_behind() {
 fn the_same_bake_gives_the_same_bytes_on_any_number_of_threads() {
     let [a, b] = ["1", "3"].map(|threads| {
         let folder = temporary();
-        let output = bake(folder.path(), "instances.glb", &["--max-texture", "128", "--max-photons", "1e4", "--threads", threads]);
+        let output = bake(
+            folder.path(),
+            "instances.glb",
+            &["--max-texture", "128", "--max-photons", "1e4", "--threads", threads],
+        );
         assert!(matches!(output.status.code(), Some(0 | 3)), "{}", text(&output.stderr));
         let read = |name: &str| std::fs::read(folder.path().join("out").join(name)).expect("a result");
         ["lightmap-0.exr", "lightmap.json", "scene.glb", "view-0.png"].map(read)
