@@ -12,6 +12,26 @@
 //!
 //! Units: metres, candela, lux, nit as glTF defines them; colours are linear Rec. 709. A texel holds the mean
 //! irradiance E (lux) of the surface mapped to it.
+//!
+//! # Example
+//!
+//! ```
+//! use evenlight::output::lightmap_exr::{self, ExrSettings};
+//! use evenlight::{BakeOptions, NoObserver, Scene, bake};
+//!
+//! # fn main() -> Result<(), Box<dyn std::error::Error>> {
+//! # let folder = tempfile::tempdir()?;
+//! let scene = Scene::from_gltf("fixtures/cube.glb")?;
+//! let options = BakeOptions { target_percent: 20.0, max_texture: 64, ..BakeOptions::default() };
+//! let baked = bake(&scene, &options, &mut NoObserver)?;
+//! assert!(baked.report.target_met);
+//! for (i, page) in baked.lightmap.pages.iter().enumerate() {
+//!     let path = folder.path().join(format!("lightmap-{i}.exr"));
+//!     lightmap_exr::write(&path, page, &ExrSettings::default())?;
+//! }
+//! # Ok(())
+//! # }
+//! ```
 
 #![warn(clippy::print_stdout, clippy::print_stderr)]
 

@@ -21,13 +21,13 @@ pub struct LightmapPage {
     /// Irradiance E, lux, linear Rec. 709 RGB, as stored: texels without coverage filled by
     /// [`fill_gutters`].
     pub irradiance: Vec<[f32; 3]>,
-    /// Half the difference of the two halves, (E_odd - E_even) / 2 [lux]: as noisy as E itself.
+    /// Half the difference of the two halves, (E_odd - E_even) / 2 (lux): as noisy as E itself.
     pub half_difference: Vec<[f32; 3]>,
     /// Irradiance of the back side where double-sided surfaces are stored as two layers; empty otherwise.
     pub back: Vec<[f32; 3]>,
     /// Share of the texel's square inside its chart, in [0, 1]; 0 in gutters.
     pub coverage: Vec<f32>,
-    /// Surface area mapped to the texel [m2].
+    /// Surface area mapped to the texel (m2).
     pub area: Vec<f32>,
 }
 

@@ -238,7 +238,7 @@ impl BakeOptions {
     }
 }
 
-/// Largest page [texels].
+/// Largest page (texels).
 pub const MAX_TEXTURE: u32 = 16384;
 
 /// Most pages.

@@ -49,7 +49,7 @@ pub struct Report {
     pub outlier_share: f64,
     /// Noise of the direct part and of the indirect part, relative to the whole mean.
     pub split: Split,
-    /// Area-weighted mean irradiance [lux] over channels.
+    /// Area-weighted mean irradiance (lux) over channels.
     pub mean_irradiance: f64,
     /// Per node.
     pub meshes: Vec<MeshError>,
@@ -65,7 +65,7 @@ pub struct Report {
     pub skips: Vec<String>,
     /// What is odd but usable.
     pub warnings: Vec<Warning>,
-    /// Largest memory of the process so far [bytes], where the system tells.
+    /// Largest memory of the process so far (bytes), where the system tells.
     pub peak_memory_bytes: Option<u64>,
     /// Seconds per stage: with the memory the only part that differs between runs.
     pub seconds: Seconds,
@@ -177,7 +177,7 @@ pub struct AtlasSummary {
     pub utilization: f64,
     /// Density where nothing asks for another.
     pub texels_per_metre: f64,
-    /// Surface on the map [m2].
+    /// Surface on the map (m2).
     pub area: f64,
     /// Of it inside closed solids.
     pub buried_area: f64,

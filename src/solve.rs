@@ -56,7 +56,7 @@ pub struct LightPath<'a> {
 /// Irradiance of all texels with its error.
 #[derive(Debug)]
 pub struct Solution {
-    /// Irradiance [lux] of each texel of the map.
+    /// Irradiance (lux) of each texel of the map.
     pub total: Halves,
     /// Weights of the texels that are stored.
     pub weights: TexelWeights,

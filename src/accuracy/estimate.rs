@@ -7,7 +7,7 @@ use glam::Vec3;
 use rayon::prelude::*;
 use serde::Serialize;
 
-/// Irradiance of each texel of the map in two independent halves [lux].
+/// Irradiance of each texel of the map in two independent halves (lux).
 #[derive(Debug, Clone, Default)]
 pub struct Halves {
     /// From odd data alone.
@@ -67,7 +67,7 @@ impl TexelWeights {
 /// An error over many texels, in percent of their mean.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Serialize)]
 pub struct ErrorEstimate {
-    /// Area-weighted mean irradiance over the three channels [lux].
+    /// Area-weighted mean irradiance over the three channels (lux).
     pub mean: f64,
     /// RMS error of the stored mean, all channels together.
     pub percent: f64,
@@ -179,11 +179,11 @@ pub struct MeshError {
     pub name: String,
     /// Texels on the map.
     pub texels: usize,
-    /// Mean irradiance [lux], over area and channels.
+    /// Mean irradiance (lux), over area and channels.
     pub mean: f64,
-    /// Least mean irradiance of a texel [lux].
+    /// Least mean irradiance of a texel (lux).
     pub minimum: f64,
-    /// Largest mean irradiance of a texel [lux].
+    /// Largest mean irradiance of a texel (lux).
     pub maximum: f64,
     /// RMS error relative to the larger of the node's mean and 1 % of the scene's.
     pub error_percent: f64,

@@ -13,7 +13,7 @@ const BYTES_PER_TRIANGLE: u64 = 250;
 /// Bytes per covered cell: texel, pieces, both halves of direct light and photons, estimates.
 const BYTES_PER_TEXEL: u64 = 420;
 
-/// Memory that a bake of `scene` on `atlas` takes at most [bytes], taking every cell as covered.
+/// Memory that a bake of `scene` on `atlas` takes at most (bytes), taking every cell as covered.
 pub fn memory_bytes(scene: &Scene, atlas: &Atlas) -> u64 {
     let cells: u64 = atlas.pages.iter().map(|p| u64::from(p.width) * u64::from(p.height)).sum();
     // Charts fill about two thirds of a page.

@@ -3,7 +3,7 @@
 //!
 //! In: the triangles of a mesh in metres. Out: charts in metres, one plane triangle per input triangle. A mesh
 //! goes to the backend in pieces of whole connected components. What the backend panics on, takes too long
-//! for, drops or gets wrong is retried in halves and in the end flattened by [`planar`](super::planar): every
+//! for, drops or gets wrong is retried in halves and in the end flattened by `planar`: every
 //! triangle with an area gets a chart, and every detour leaves a warning.
 
 use super::NO_CHART;
@@ -94,7 +94,7 @@ pub trait Unwrapper: Sync {
 pub struct JoinedMesh {
     /// Name for messages.
     pub name: String,
-    /// Positions [m]; may be non-finite or huge.
+    /// Positions (m); may be non-finite or huge.
     pub positions: Vec<DVec3>,
     /// Triangles as indices into `positions`, all in range.
     pub triangles: Vec<[u32; 3]>,

@@ -144,7 +144,7 @@ impl Emitters {
     }
 
     /// One unbiased sample of the direct irradiance at `at`. `u(d)` gives coordinate `d` of a point of the
-    /// unit cube, d < [`SAMPLE_DIMENSIONS`]. Rays traced are added to `rays`.
+    /// unit cube, d < `SAMPLE_DIMENSIONS`. Rays traced are added to `rays`.
     pub fn sample(
         &self,
         at: &Receiver,

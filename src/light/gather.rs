@@ -88,13 +88,13 @@ impl Direct {
         self.rays
     }
 
-    /// Mean direct irradiance [lux] that is stored for a texel, one half.
+    /// Mean direct irradiance (lux) that is stored for a texel, one half.
     pub fn stored(&self, half: usize, texel: usize) -> Vec3 {
         let t = &self.halves[half][texel];
         t.stored / t.samples.max(1) as f32
     }
 
-    /// Mean over the texel's samples of the largest channel of rho E [lux], one half.
+    /// Mean over the texel's samples of the largest channel of rho E (lux), one half.
     pub fn exitance(&self, half: usize, texel: usize) -> f32 {
         let t = &self.halves[half][texel];
         t.exitance / t.samples.max(1) as f32

@@ -1,7 +1,7 @@
 //! 4. Direct light: what reaches a point straight from an emitter.
 //!
 //! In: a [`World`](crate::scene::World) and its [`Accel`](crate::accel::Accel). Out: for every texel the
-//! irradiance E [lux] of direct light in two independent halves, and the points that photons start from.
+//! irradiance E (lux) of direct light in two independent halves, and the points that photons start from.
 //! Punctual lights, emissive triangles, suns and the sky are sampled at points spread over the texel's
 //! surface; shadow rays pass MASK, BLEND and transmissive surfaces with their exact transmittance.
 

@@ -8,7 +8,7 @@ use std::sync::Arc;
 /// The sky, ready to be sampled.
 #[derive(Debug, Clone)]
 pub enum SkySampler {
-    /// The same radiance [nit] from everywhere.
+    /// The same radiance (nit) from everywhere.
     Constant(Vec3),
     /// An image whose bright parts are found by importance.
     Image(SkyImage),
@@ -51,7 +51,7 @@ impl SkySampler {
         }
     }
 
-    /// Radiance [nit] from the unit direction `w` (towards the sky).
+    /// Radiance (nit) from the unit direction `w` (towards the sky).
     pub fn radiance(&self, w: Vec3) -> Vec3 {
         match self {
             SkySampler::Constant(l) => *l,

@@ -27,7 +27,7 @@ pub enum Layer {
     HalfDifference,
     /// Share of the texel inside its chart, in [0, 1].
     Coverage,
-    /// Surface area mapped to the texel [m2].
+    /// Surface area mapped to the texel (m2).
     Area,
     /// The back side of double-sided surfaces, in the quantity of the main layer.
     Back,
@@ -104,7 +104,7 @@ pub struct ExrInfo {
     pub bytes: usize,
 }
 
-/// Factor from irradiance [lux] to the numbers of a file.
+/// Factor from irradiance (lux) to the numbers of a file.
 pub fn scale_of(quantity: Quantity) -> f32 {
     match quantity {
         Quantity::IrradianceOverPi => FRAC_1_PI,

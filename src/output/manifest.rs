@@ -125,7 +125,7 @@ pub struct ManifestInputs {
     pub scene_file: Option<String>,
     /// File of each page, relative to the manifest.
     pub page_files: Vec<String>,
-    /// Measured error per scene instance [percent]; may be shorter than the instances.
+    /// Measured error per scene instance (percent); may be shorter than the instances.
     pub error_percent: Vec<Option<f64>>,
 }
 

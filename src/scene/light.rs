@@ -9,7 +9,7 @@ pub struct Light {
     pub name: String,
     /// Index of the node in the source document; `None` for a light that is not from the file.
     pub node: Option<usize>,
-    /// World position [m]; meaningless for directional lights.
+    /// World position (m); meaningless for directional lights.
     pub position: DVec3,
     /// Unit direction in which the light travels, world space; meaningless for point lights.
     pub direction: Vec3,
@@ -30,14 +30,14 @@ pub enum LightKind {
     /// Full intensity inside `inner`, zero outside `outer`; between them the squared linear ramp in the
     /// cosine that KHR_lights_punctual recommends.
     Spot {
-        /// Half angle of the full cone [rad].
+        /// Half angle of the full cone (rad).
         inner: f32,
-        /// Half angle of the whole cone [rad], > `inner`.
+        /// Half angle of the whole cone (rad), > `inner`.
         outer: f32,
     },
     /// From infinitely far away.
     Directional {
-        /// Angular diameter of the disc [rad]; 0 for parallel light.
+        /// Angular diameter of the disc (rad); 0 for parallel light.
         angular_diameter: f32,
     },
 }
@@ -59,7 +59,7 @@ pub enum BakeMode {
 pub struct Camera {
     /// Name of the camera or its node.
     pub name: String,
-    /// World position [m].
+    /// World position (m).
     pub position: DVec3,
     /// Unit view direction, world space.
     pub forward: Vec3,
@@ -72,18 +72,18 @@ pub struct Camera {
 /// Projection of a camera.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Projection {
-    /// Vertical field of view [rad], and width over height where the file gives it.
+    /// Vertical field of view (rad), and width over height where the file gives it.
     Perspective {
-        /// Full vertical angle [rad].
+        /// Full vertical angle (rad).
         vertical_fov: f32,
         /// Width over height, if given.
         aspect: Option<f32>,
     },
-    /// Half extents [m].
+    /// Half extents (m).
     Orthographic {
-        /// Half the width [m].
+        /// Half the width (m).
         half_width: f32,
-        /// Half the height [m].
+        /// Half the height (m).
         half_height: f32,
     },
 }

@@ -15,7 +15,7 @@ pub struct Material {
     pub metallic: f32,
     /// Linear texture whose blue channel multiplies the metalness.
     pub metallic_texture: Option<TextureRef>,
-    /// Emitted radiance [nit]: emissive factor times emissive strength.
+    /// Emitted radiance (nit): emissive factor times emissive strength.
     pub emission: Vec3,
     /// sRGB texture multiplied with the emission.
     pub emission_texture: Option<TextureRef>,

@@ -13,7 +13,7 @@ use std::sync::Arc;
 /// Radiance of the surroundings as a function of direction.
 #[derive(Debug, Clone)]
 pub enum Sky {
-    /// The same radiance [nit] from everywhere.
+    /// The same radiance (nit) from everywhere.
     Constant(Vec3),
     /// An equirectangular image: row 0 is straight up, the centre column looks along -Z, +X is to its right.
     Image {
@@ -21,9 +21,9 @@ pub enum Sky {
         width: usize,
         /// Height in texels.
         height: usize,
-        /// Radiance [nit], linear Rec. 709, row-major, non-negative and finite.
+        /// Radiance (nit), linear Rec. 709, row-major, non-negative and finite.
         radiance: Arc<[Vec3]>,
-        /// Rotation about +Y [rad]: positive turns the picture counter-clockwise as seen from above.
+        /// Rotation about +Y (rad): positive turns the picture counter-clockwise as seen from above.
         rotation: f32,
     },
 }
@@ -40,7 +40,7 @@ pub(crate) fn sky_pixel(width: usize, height: usize, rotation: f32, w: Vec3) -> 
 }
 
 impl Sky {
-    /// Radiance [nit] from the unit direction `w`, which points towards the sky.
+    /// Radiance (nit) from the unit direction `w`, which points towards the sky.
     pub fn radiance(&self, w: Vec3) -> Vec3 {
         match self {
             Sky::Constant(radiance) => *radiance,

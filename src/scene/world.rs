@@ -7,7 +7,7 @@ use glam::{DVec3, Vec2, Vec3, Vec4};
 /// [-1, 1]. Scaling a scene by a power of two therefore changes no bit of what is computed.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Frame {
-    /// World position of the frame's origin [m].
+    /// World position of the frame's origin (m).
     pub centre: DVec3,
     /// Metres per unit of the frame, a power of two.
     pub metres: f64,
@@ -19,7 +19,7 @@ impl Frame {
         ((p - self.centre) / self.metres).as_vec3()
     }
 
-    /// World position [m] of a frame position.
+    /// World position (m) of a frame position.
     pub fn to_world(&self, p: Vec3) -> DVec3 {
         p.as_dvec3() * self.metres + self.centre
     }
@@ -69,7 +69,7 @@ impl SurfaceFlags {
 pub struct SurfacePoint {
     /// Diffuse reflectance rho in [0, 1] of the surface where it is present: alpha not applied.
     pub albedo: Vec3,
-    /// Emitted radiance [nit] where the surface is present: alpha not applied.
+    /// Emitted radiance (nit) where the surface is present: alpha not applied.
     pub emission: Vec3,
     /// Share of the light that meets the surface at all, in [0, 1]; 0 or 1 for MASK, 1 for OPAQUE.
     pub alpha: f32,
