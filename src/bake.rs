@@ -63,7 +63,7 @@ fn bake_here<'s>(scene: &'s Scene, options: &BakeOptions, observer: &mut dyn Obs
     let world = World::new(scene);
     let texels = Texels::new(&world, &atlas);
     seconds.texels = clock.lap();
-    let accel = Accel::build(&world.positions, |t| world.flags[t as usize].has(SurfaceFlags::DEGENERATE));
+    let accel = Accel::build(&world.positions, |t| world.flags[t as usize].has(SurfaceFlags::UNSEEN));
     seconds.accel = clock.lap();
     let visibility = Visibility::new(&world, &accel);
     let emitters =
@@ -122,6 +122,7 @@ fn report(
     warnings.extend(atlas.warnings.iter().cloned());
     warnings.extend(lighting.warnings.iter().cloned());
     warnings.extend(texture_warnings(scene));
+    warnings.extend(back_warnings(scene, solution));
     let mut report = Report {
         evenlight: env!("CARGO_PKG_VERSION"),
         scene: scene.name.clone(),
@@ -175,6 +176,26 @@ fn report(
     };
     report.set_texel_error(&solution.error);
     report
+}
+
+/// Share of all photons' flux that the backs of one node must meet to be worth a warning.
+const BACK_SHARE: f64 = 0.005;
+
+/// Nodes whose one-sided surfaces are lit from behind.
+fn back_warnings<'a>(scene: &'a Scene, solution: &'a Solution) -> impl Iterator<Item = Warning> + 'a {
+    let emitted = solution.ledger.emitted.iter().sum::<i128>().max(1) as f64;
+    scene.instances.iter().zip(&solution.back_flux).filter_map(move |(instance, &flux)| {
+        let share = flux as f64 / emitted;
+        (share > BACK_SHARE).then(|| {
+            let what = format!(
+                "node {}: {:.1} % of all reflected light meets backs of its one-sided surfaces and is absorbed; \
+                 turn its faces or make its material double-sided",
+                instance.name,
+                100.0 * share
+            );
+            Warning::new("lit-from-behind", what)
+        })
+    })
 }
 
 /// Images that turned out not to be decodable when they were looked at.

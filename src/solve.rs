@@ -80,6 +80,8 @@ pub struct Solution {
     pub direct_rays: u64,
     /// Where the photons' flux went.
     pub ledger: EnergyLedger,
+    /// Flux over the three channels that met the backs of each instance's one-sided surfaces.
+    pub back_flux: Vec<i64>,
     /// Flux of one integer step [lux x frame units squared].
     pub unit: f64,
     /// Seconds of direct light, photons, estimates.
@@ -125,7 +127,7 @@ pub fn solve(
         began,
         weights,
         direct: Direct::new(path.texels.texels.len()),
-        bins: Bins::new(path.texels),
+        bins: Bins::new(path.visibility.world, path.texels),
         flux: None,
         start_total: 0.0,
         photons: 0,
@@ -361,6 +363,7 @@ impl Solver<'_, '_> {
             direct_samples: self.direct.samples(),
             direct_rays: self.direct.rays(),
             ledger: self.ledger,
+            back_flux: self.bins.back_flux(),
             unit: self.flux.map_or(0.0, |f| f.unit),
             seconds: self.seconds,
         }

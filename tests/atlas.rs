@@ -40,6 +40,7 @@ fn scene(meshes: Vec<Triangles>, instances: Vec<(usize, DAffine3)>) -> Scene {
                 weight: 1.0,
                 density: 1.0,
                 bake: true,
+                casts: true,
             })
             .collect(),
         materials: vec![Material::default()],

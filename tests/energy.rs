@@ -9,7 +9,7 @@ use common::runs::one_round;
 use evenlight::accel::{Accel, Ray};
 use evenlight::light::Visibility;
 use evenlight::options::{DoubleSided, TexelValue};
-use evenlight::photon::{Deposit, EnergyLedger, Photon, walk};
+use evenlight::photon::{EnergyLedger, Photon, Trail, walk};
 use evenlight::scene::{Alpha, LightKind, Material, Scene, Sky, World};
 use evenlight::{Bake, BakeOptions};
 use glam::{Vec3, Vec4};
@@ -63,7 +63,7 @@ fn the_balance_closes_in_integers() {
     for (what, sheet) in sheets() {
         for double_sided in [DoubleSided::Auto, DoubleSided::Split] {
             let scene = mixed(sheet.clone());
-            let bake = run(&scene, &BakeOptions { double_sided, texel_value: TexelValue::Fit, ..one_round(PAGE) });
+            let bake = run(&scene, &BakeOptions { double_sided, texel_value: TexelValue::Open, ..one_round(PAGE) });
             let ledger = bake.solution.ledger;
             assert_eq!(ledger.imbalance(), [0; 3], "{what}");
             assert!(ledger.emitted.iter().all(|&e| e > 0) && ledger.deposits > 0, "{what}");
@@ -110,16 +110,16 @@ fn photons_weigh_the_same_all_the_way() {
         let accel = Accel::build(&world.positions, |_| false);
         let visibility = Visibility::new(&world, &accel);
         let mut random = common::random::Random::new(3);
-        let mut deposits: Vec<Deposit> = Vec::new();
+        let mut trail = Trail::default();
         for _ in 0..2000 {
-            deposits.clear();
+            trail.deposits.clear();
             let direction = Vec3::from_array(std::array::from_fn(|_| random.normal() as f32));
             let ray = Ray { origin: world.frame.from_world(glam::DVec3::splat(2.2)), direction, t_max: f32::INFINITY };
             let photon = Photon { ray, flux: [1 << 24, 1 << 23, 1 << 22] };
             let mut ledger = EnergyLedger::default();
-            walk(photon, &visibility, || (random.unit() * 4_294_967_296.0) as u32, &mut deposits, &mut ledger);
+            walk(photon, &visibility, || (random.unit() * 4_294_967_296.0) as u32, &mut trail, &mut ledger);
             assert_eq!(ledger.imbalance(), [0; 3], "{what}");
-            for d in &deposits {
+            for d in &trail.deposits {
                 assert_eq!(d.flux.iter().max(), Some(&(1 << 24)), "{what}");
             }
         }

@@ -212,6 +212,7 @@ fn scene_of(document: &Document) -> Scene {
                 weight: 1.0,
                 density: 1.0,
                 bake: json["mesh"] != UNBAKED,
+                casts: true,
             })
             .collect(),
         materials: Vec::new(),

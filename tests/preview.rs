@@ -42,6 +42,7 @@ fn scene(meshes: Vec<Mesh>, materials: Vec<Material>) -> Scene {
         weight: 1.0,
         density: 1.0,
         bake: true,
+        casts: true,
     };
     Scene {
         name: "test".into(),

@@ -5,6 +5,7 @@ use super::receiver::Receiver;
 use super::visibility::Visibility;
 use crate::atlas::{TexelSampler, Texels};
 use crate::sampling::{DIMENSIONS, Stream, hash_mix, hash_seed, sobol, unit_f32};
+use crate::scene::SurfaceFlags;
 use glam::{Vec2, Vec3};
 use rayon::prelude::*;
 
@@ -254,7 +255,8 @@ impl HalfTexel {
         }
         self.stored += light.stored;
         self.stored_square += light.stored.length_squared();
-        if light.transported == Vec3::ZERO {
+        let unseen = visibility.world.flags[triangle as usize].has(SurfaceFlags::UNSEEN);
+        if light.transported == Vec3::ZERO || unseen {
             return;
         }
         let surface = visibility.world.surface(triangle, uv);

@@ -1,6 +1,7 @@
 //! Deposits into texels: the replaceable last stage of the photon walk.
 
 use crate::atlas::Texels;
+use crate::scene::World;
 use glam::{Vec2, Vec3};
 use std::sync::atomic::{AtomicI64, Ordering::Relaxed};
 
@@ -19,17 +20,28 @@ pub struct Deposit {
     pub direction: Vec3,
 }
 
+/// What one photon, or many, left behind.
+#[derive(Debug, Clone, Default)]
+pub struct Trail {
+    /// Light that surfaces received.
+    pub deposits: Vec<Deposit>,
+    /// Triangle and flux over the three channels of light that met the back of a one-sided surface and ended.
+    pub backs: Vec<(u32, u64)>,
+}
+
 /// Takes what photons deposit. Sums must not depend on the order of calls, which come from many threads.
 pub trait DepositSink: Sync {
-    /// Adds deposits of paths of one parity.
-    fn deposit(&self, half: usize, deposits: &[Deposit]);
+    /// Adds what paths of one parity left.
+    fn take(&self, half: usize, trail: &Trail);
 }
 
 /// Flux per texel of the map, two halves, in integers: exact and free of order.
 #[derive(Debug)]
 pub struct Bins<'t> {
     texels: &'t Texels,
+    world: &'t World<'t>,
     halves: [Vec<[AtomicI64; 3]>; 2],
+    backs: Vec<AtomicI64>,
 }
 
 impl<'t> Bins<'t> {
@@ -37,9 +49,15 @@ impl<'t> Bins<'t> {
     pub const BYTES_PER_TEXEL: usize = 2 * size_of::<[AtomicI64; 3]>();
 
     /// Empty bins for the texels of the map.
-    pub fn new(texels: &'t Texels) -> Bins<'t> {
+    pub fn new(world: &'t World<'t>, texels: &'t Texels) -> Bins<'t> {
         let empty = || (0..texels.mapped).map(|_| Default::default()).collect();
-        Bins { texels, halves: [empty(), empty()] }
+        let backs = world.scene.instances.iter().map(|_| AtomicI64::new(0)).collect();
+        Bins { texels, world, halves: [empty(), empty()], backs }
+    }
+
+    /// Flux over the three channels that each instance's backs took up.
+    pub fn back_flux(&self) -> Vec<i64> {
+        self.backs.iter().map(|b| b.load(Relaxed)).collect()
     }
 
     /// Flux of a texel, one half.
@@ -49,8 +67,12 @@ impl<'t> Bins<'t> {
 }
 
 impl DepositSink for Bins<'_> {
-    fn deposit(&self, half: usize, deposits: &[Deposit]) {
-        for d in deposits {
+    fn take(&self, half: usize, trail: &Trail) {
+        for &(triangle, flux) in &trail.backs {
+            let instance = self.world.refs[triangle as usize].instance;
+            self.backs[instance as usize].fetch_add(flux as i64, Relaxed);
+        }
+        for d in &trail.deposits {
             if let Some(texel) = self.texels.at(d.triangle, d.back, d.uv)
                 && (texel as usize) < self.texels.mapped
             {

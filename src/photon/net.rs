@@ -1,6 +1,6 @@
 //! Photons in whole scrambled nets.
 
-use super::bins::{Deposit, DepositSink};
+use super::bins::{DepositSink, Trail};
 use super::ledger::EnergyLedger;
 use super::start::StartTable;
 use super::walk::{Photon, walk};
@@ -70,12 +70,12 @@ impl Shooting<'_> {
             .into_par_iter()
             .map(|chunk| {
                 let mut ledger = EnergyLedger::default();
-                let mut deposits = Vec::with_capacity(4 * CHUNK as usize);
+                let mut trail = Trail::default();
                 let mut texel = None;
                 for stratum in chunk * CHUNK..((chunk + 1) * CHUNK).min(count) {
-                    texel = Some(self.photon(&net, stratum, texel, &mut deposits, &mut ledger));
+                    texel = Some(self.photon(&net, stratum, texel, &mut trail, &mut ledger));
                 }
-                sink.deposit(half, &deposits);
+                sink.take(half, &trail);
                 ledger
             })
             .reduce(EnergyLedger::default, |mut a, b| {
@@ -90,7 +90,7 @@ impl Shooting<'_> {
         net: &Net,
         stratum: u32,
         from: Option<usize>,
-        deposits: &mut Vec<Deposit>,
+        trail: &mut Trail,
         ledger: &mut EnergyLedger,
     ) -> usize {
         let mut stream = Stream::new(hash_mix(net.key, u64::from(stratum)));
@@ -113,7 +113,7 @@ impl Shooting<'_> {
         let direction = cosine_hemisphere(normal, Vec2::new(unit_f32(random()), unit_f32(random())));
         let flux = start.color.map(|c| ((u64::from(c) * u64::from(net.weight) + 32767) / 65535) as u32);
         let photon = Photon { ray: Ray { origin, direction, t_max: f32::INFINITY }, flux };
-        walk(photon, self.visibility, random, deposits, ledger);
+        walk(photon, self.visibility, random, trail, ledger);
         texel
     }
 }

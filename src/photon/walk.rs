@@ -1,6 +1,6 @@
 //! The walk of one photon from surface to surface.
 
-use super::bins::Deposit;
+use super::bins::{Deposit, Trail};
 use super::ledger::EnergyLedger;
 use crate::accel::{self, Ray};
 use crate::light::Visibility;
@@ -23,12 +23,12 @@ pub struct Photon {
     pub flux: [u32; 3],
 }
 
-/// Walks `photon` to its end. `random` gives the next random word. Deposits are appended; the ledger balances.
+/// Walks `photon` to its end. `random` gives the next random word. What it leaves is appended to `trail`; the ledger balances.
 pub fn walk(
     mut photon: Photon,
     visibility: &Visibility,
     mut random: impl FnMut() -> u32,
-    deposits: &mut Vec<Deposit>,
+    trail: &mut Trail,
     ledger: &mut EnergyLedger,
 ) {
     let world = visibility.world;
@@ -46,7 +46,7 @@ pub fn walk(
         let back = normal.dot(photon.ray.direction) > 0.0;
         let receives = !back || flags.has(SurfaceFlags::DOUBLE_SIDED);
         if receives {
-            deposits.push(Deposit {
+            trail.deposits.push(Deposit {
                 triangle: hit.triangle,
                 back,
                 uv,
@@ -57,6 +57,7 @@ pub fn walk(
             ledger.deposits += 1;
         } else if !flags.has(SurfaceFlags::PASSES_LIGHT) {
             add(&mut ledger.back_absorbed, photon.flux);
+            trail.backs.push((hit.triangle, photon.flux.iter().map(|&f| u64::from(f)).sum()));
             return;
         }
         let s = world.surface(hit.triangle, uv);

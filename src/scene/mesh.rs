@@ -56,6 +56,10 @@ pub struct Instance {
     pub weight: f32,
     /// Factor on the texel density, > 0 (extras `evenlight.density`). Default: 1.
     pub density: f32,
-    /// False: casts shadows and bounces light, but gets no lightmap (extras `evenlight.bake`).
+    /// False: casts shadows and bounces light, but gets no lightmap (extras `evenlight.bake` or
+    /// `evenlight.receives`).
     pub bake: bool,
+    /// False: gets a lightmap, but neither blocks nor reflects light: something that moves (extras
+    /// `evenlight.casts`).
+    pub casts: bool,
 }

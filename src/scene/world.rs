@@ -49,8 +49,10 @@ impl SurfaceFlags {
     pub const EMITS: SurfaceFlags = SurfaceFlags(4);
     /// Neither emits nor reflects, only blocks.
     pub const UNLIT: SurfaceFlags = SurfaceFlags(8);
-    /// No area, or not finite: no ray meets it.
+    /// No area, or not finite.
     pub const DEGENERATE: SurfaceFlags = SurfaceFlags(16);
+    /// No ray meets it, for it has no area or its node casts nothing.
+    pub const UNSEEN: SurfaceFlags = SurfaceFlags(64);
     /// Reflectance or emission varies over the triangle.
     pub const VARIES: SurfaceFlags = SurfaceFlags(32);
 
@@ -145,7 +147,9 @@ impl<'s> World<'s> {
                     world.positions.push(c);
                     world.normals.push(if degenerate { Vec3::ZERO } else { normal.normalize().as_vec3() });
                     world.refs.push(TriangleRef { instance: i as u32, primitive: p as u32, index: k as u32 });
-                    world.flags.push(flags.with(SurfaceFlags::DEGENERATE, degenerate));
+                    let unseen = degenerate || !instance.casts;
+                    let flags = flags.with(SurfaceFlags::DEGENERATE, degenerate).with(SurfaceFlags::UNSEEN, unseen);
+                    world.flags.push(flags);
                 }
             }
         }

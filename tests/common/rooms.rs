@@ -90,6 +90,7 @@ impl Builder {
             weight: 1.0,
             density: 1.0,
             bake: true,
+            casts: true,
         });
         mesh
     }

@@ -169,7 +169,8 @@ fn is_drawable(m: &DAffine3) -> bool {
 
 fn read_instance(reader: &mut Reader, node: usize, mesh: usize, world_from_object: DAffine3, label: &str) -> Instance {
     let name = reader.name("nodes", node).map_or_else(|| format!("node {node}"), str::to_owned);
-    let mut instance = Instance { node, name, mesh, world_from_object, weight: 1.0, density: 1.0, bake: true };
+    let mut instance =
+        Instance { node, name, mesh, world_from_object, weight: 1.0, density: 1.0, bake: true, casts: true };
     let Some(extras) = reader.value("nodes", node, label).ok().and_then(|n| n.get("extras")) else { return instance };
     let ours = extras.get("evenlight");
     let mut number = |value: Option<&Value>, key: &str, default: f32, least: f32| {
@@ -186,13 +187,9 @@ fn read_instance(reader: &mut Reader, node: usize, mesh: usize, world_from_objec
     let weight = ours.and_then(|e| e.get("weight")).or(extras.get("compare_weight"));
     instance.weight = number(weight, "weight", 1.0, 0.0);
     instance.density = number(ours.and_then(|e| e.get("density")), "density", 1.0, 1e-3);
-    instance.bake = ours.and_then(|e| e.get("bake")) != Some(&Value::Bool(false));
-    for key in ["casts", "receives"] {
-        if ours.and_then(|e| e.get(key)) == Some(&Value::Bool(false)) {
-            reader
-                .warn("extras-not-supported", format!("{label}: extras evenlight.{key} = false is not supported yet"));
-        }
-    }
+    let on = |key: &str| ours.and_then(|e| e.get(key)) != Some(&Value::Bool(false));
+    instance.bake = on("bake") && on("receives");
+    instance.casts = on("casts");
     instance
 }
 
