@@ -214,6 +214,13 @@ impl Solver<'_, '_> {
             return Ok(None);
         }
         self.start_total = total;
+        if self.flux.is_some_and(|f| !f.holds(total)) {
+            // The first direct samples missed nearly all of the light: so did the photons they started.
+            self.flux = None;
+            self.bins = Bins::new(visibility.world, texels);
+            self.ledger = EnergyLedger::default();
+            self.photons = 0;
+        }
         let flux = *self.flux.get_or_insert_with(|| Flux::for_total(total));
         let shooting = Shooting {
             seed: self.options.seed,

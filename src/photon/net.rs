@@ -11,6 +11,9 @@ use crate::sampling::{DIMENSIONS, Stream, cosine_hemisphere, hash_mix, sobol, so
 use glam::Vec2;
 use rayon::prelude::*;
 
+/// Largest flux of a photon, in integer steps: reflectances multiply it without overflow.
+const LARGEST_WEIGHT: u32 = 1 << 30;
+
 /// Photons per task.
 const CHUNK: u32 = 2048;
 
@@ -29,10 +32,15 @@ impl Flux {
         Flux { unit: libm::ldexp(1.0, exponent - 24) }
     }
 
+    /// True where photons of a total start flux of `total` still fit their integers.
+    pub fn holds(&self, total: f64) -> bool {
+        total <= self.unit * f64::from(LARGEST_WEIGHT)
+    }
+
     /// The largest channel of every photon where the start flux is `total`: the flux per texel is then the sum
     /// of its deposits divided by the number of photons.
     pub fn weight(&self, total: f64) -> u32 {
-        (total / self.unit).round().clamp(1.0, f64::from(1u32 << 30)) as u32
+        (total / self.unit).round().clamp(1.0, f64::from(LARGEST_WEIGHT)) as u32
     }
 }
 
@@ -124,4 +132,21 @@ struct Net {
     bits: u32,
     key: u64,
     weight: u32,
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_unit_is_a_power_of_two_with_room_to_grow() {
+        for total in [1e-12, 0.3, 1.0, 7.5e9] {
+            let flux = Flux::for_total(total);
+            assert_eq!(flux.unit.log2().fract(), 0.0);
+            assert!((1 << 24..1 << 25).contains(&flux.weight(total)));
+            assert!(flux.holds(total * 30.0) && !flux.holds(total * 70.0));
+            // Twice the light: the same integers.
+            assert_eq!(Flux::for_total(total * 2.0).weight(total * 2.0), flux.weight(total));
+        }
+    }
 }
