@@ -113,14 +113,8 @@ fn report(
 ) -> Report {
     let scene = world.scene;
     let metres2 = world.frame.metres * world.frame.metres;
-    let (meshes, area_within_target) = mesh_errors(
-        world,
-        &solution.total,
-        &solution.total,
-        &solution.weights,
-        solution.error.mean,
-        options.target_percent,
-    );
+    let (meshes, area_within_target) =
+        mesh_errors(world, &solution.total, &solution.weights, solution.error.mean, options.target_percent);
     let area = |share: &dyn Fn(usize) -> f64| {
         (0..texels.mapped).map(|i| f64::from(texels.texels[i].area) * share(i)).sum::<f64>() * metres2
     };

@@ -83,8 +83,8 @@ pub struct Split {
 /// State at the end of a round.
 #[derive(Debug, Clone, Copy, Serialize)]
 pub struct HistoryEntry {
-    /// Direct samples per texel and half.
-    pub direct_samples: u32,
+    /// Direct samples of all texels and both halves.
+    pub direct_samples: u64,
     /// Photons of both halves.
     pub photons: u64,
     /// Rays of all kinds.
@@ -100,8 +100,8 @@ pub struct HistoryEntry {
 /// What was traced.
 #[derive(Debug, Clone, Copy, Default, Serialize)]
 pub struct Work {
-    /// Direct samples per texel and half.
-    pub direct_samples: u32,
+    /// Direct samples of all texels and both halves.
+    pub direct_samples: u64,
     /// Shadow rays of the direct light.
     pub direct_rays: u64,
     /// Photons of both halves.

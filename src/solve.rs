@@ -5,7 +5,7 @@
 //! the next round is sized so that the target is met with the fewest rays. All decisions are made between
 //! rounds from sums in fixed order; only a time limit can make two runs differ.
 
-use crate::accuracy::{ErrorEstimate, Halves, Pools, TexelWeights, estimate_error, mesh_errors};
+use crate::accuracy::{ErrorEstimate, Halves, MeshError, Pools, TexelWeights, estimate_error, mesh_errors};
 use crate::atlas::{NO_CHART, Texels};
 use crate::error::BakeError;
 use crate::light::{Direct, Emitters, Visibility};
@@ -20,9 +20,8 @@ use std::time::Instant;
 /// Direct samples per texel and half of the first round.
 const FIRST_SAMPLES: u32 = 4;
 
-/// Most direct samples per texel and half: the Sobol sequences are good for far more, but a texel that needs
-/// this many will not get better soon.
-const MAX_SAMPLES: u32 = 1 << 14;
+/// Direct samples between two looks at the clock and at what they found.
+const MOST_SAMPLES_AT_ONCE: u64 = 1 << 24;
 
 /// Photons of the first round per half: 2^(12..20), by the number of texels.
 const FIRST_NET_BITS: std::ops::RangeInclusive<u32> = 12..=20;
@@ -69,14 +68,14 @@ pub struct Solution {
     pub indirect_error: ErrorEstimate,
     /// Error that 95 % of the meshes are under.
     pub mesh_percent: f64,
-    /// Variance of the direct and the indirect part of what binds, in percent squared.
+    /// Variance that direct samples, and that photons would lower, of what binds.
     variances: (f64, f64),
     /// Which limit ended it before the targets were met.
     pub limit: Option<&'static str>,
     /// One entry per round.
     pub history: Vec<HistoryEntry>,
-    /// Direct samples per texel and half.
-    pub direct_samples: u32,
+    /// Direct samples of all texels and both halves.
+    pub direct_samples: u64,
     /// Shadow rays of direct light.
     pub direct_rays: u64,
     /// Where the photons' flux went.
@@ -97,6 +96,8 @@ struct Solver<'a, 'o> {
     direct: Direct,
     bins: Bins<'a>,
     flux: Option<Flux>,
+    /// Start flux of one half, as the last round found it [lux x frame units squared].
+    start_total: f64,
     /// Photons per half, and nets per half so far.
     photons: u64,
     nets: u64,
@@ -126,6 +127,7 @@ pub fn solve(
         direct: Direct::new(path.texels.texels.len()),
         bins: Bins::new(path.texels),
         flux: None,
+        start_total: 0.0,
         photons: 0,
         nets: 0,
         ledger: EnergyLedger::default(),
@@ -136,17 +138,18 @@ pub fn solve(
     solver.run()
 }
 
-/// Work for the next round: direct samples per texel and half, photons per half.
+/// Work for the next round: direct samples of all texels and both halves (the first round takes the same number
+/// everywhere), photons per half.
 #[derive(Debug, Clone, Copy)]
 struct Round {
-    samples: u32,
+    samples: u64,
     photons: u64,
 }
 
 impl Solver<'_, '_> {
     fn run(&mut self) -> Result<Solution, BakeError> {
         let bits = (self.path.texels.texels.len().max(1).ilog2()).clamp(*FIRST_NET_BITS.start(), *FIRST_NET_BITS.end());
-        let mut round = Round { samples: FIRST_SAMPLES, photons: 1 << bits };
+        let mut round = Round { samples: 1, photons: 1 << bits };
         loop {
             let stopped = self.trace(round)?;
             let started = Instant::now();
@@ -156,7 +159,7 @@ impl Solver<'_, '_> {
             let next = self.plan(&solution, needed);
             let rays = self.rays();
             let cost =
-                |r: &Round| self.cost_per_sample() * f64::from(r.samples) + self.cost_per_photon() * r.photons as f64;
+                |r: &Round| self.cost_per_sample() * r.samples as f64 + self.cost_per_photon() * r.photons as f64;
             let forecast_rays = rays as f64 + self.unbounded_plan(&solution, needed).map_or(0.0, |r| cost(&r));
             self.history.push(HistoryEntry {
                 direct_samples: self.direct.samples(),
@@ -182,15 +185,22 @@ impl Solver<'_, '_> {
     /// Traces one round; the name of the limit that ended it early.
     fn trace(&mut self, round: Round) -> Result<Option<&'static str>, BakeError> {
         let smooth = self.options.normals == Normals::Smooth;
+        let LightPath { texels, emitters, visibility, .. } = self.path;
         let mut left = round.samples;
         while left > 0 {
-            let some = left.min(FIRST_SAMPLES);
             let started = Instant::now();
-            let LightPath { texels, emitters, visibility, .. } = self.path;
-            self.direct.extend(some, self.options.seed, smooth, texels, emitters, visibility);
+            let budget = left.min(MOST_SAMPLES_AT_ONCE);
+            if self.direct.samples() == 0 {
+                self.direct.extend_all(FIRST_SAMPLES, self.options.seed, smooth, texels, (emitters, visibility));
+                left = 0;
+            } else {
+                let more = self.direct.allocate(budget, texels);
+                let counts = |half: usize, texel: usize| more[half][texel];
+                self.direct.extend(&counts, self.options.seed, smooth, texels, (emitters, visibility));
+                left -= budget;
+            }
             self.seconds[0] += started.elapsed().as_secs_f64();
             self.report_progress()?;
-            left -= some;
             if left > 0 && self.out_of_time() {
                 return Ok(Some("time-limit"));
             }
@@ -201,6 +211,7 @@ impl Solver<'_, '_> {
         if total <= 0.0 {
             return Ok(None);
         }
+        self.start_total = total;
         let flux = *self.flux.get_or_insert_with(|| Flux::for_total(total));
         let shooting = Shooting {
             seed: self.options.seed,
@@ -268,9 +279,9 @@ impl Solver<'_, '_> {
         if self.observer.cancelled() { Err(BakeError::Cancelled) } else { Ok(()) }
     }
 
-    /// Rays per direct sample (of all texels and both halves), and per photon of each half.
+    /// Rays per direct sample, and per photon of each half.
     fn cost_per_sample(&self) -> f64 {
-        self.direct.rays().max(1) as f64 / f64::from(self.direct.samples().max(1))
+        self.direct.rays().max(1) as f64 / self.direct.samples().max(1) as f64
     }
 
     fn cost_per_photon(&self) -> f64 {
@@ -300,16 +311,16 @@ impl Solver<'_, '_> {
         } else if y < 1.0 {
             (x, y) = (a / (goal - b).max(1e-300), 1.0);
         }
-        let samples = f64::from(self.direct.samples()) * (x - 1.0).max(0.0);
+        let samples = self.direct.samples() as f64 * (x - 1.0).max(0.0);
         let photons = self.photons as f64 * (y - 1.0).max(0.0);
-        Some(Round { samples: samples.ceil().min(1e9) as u32, photons: photons.ceil().min(1e18) as u64 })
+        Some(Round { samples: samples.ceil().min(1e18) as u64, photons: photons.ceil().min(1e18) as u64 })
     }
 
     /// The next round, bounded in growth; `None` where no more work can help.
     fn plan(&self, s: &Solution, needed: f64) -> Option<Round> {
         let wish = self.unbounded_plan(s, needed)?;
-        let most_samples = (f64::from(self.direct.samples()) * (MOST_GROWTH - 1.0)) as u32;
-        let samples = wish.samples.min(most_samples).min(MAX_SAMPLES - self.direct.samples().min(MAX_SAMPLES));
+        let most_samples = (self.direct.samples() as f64 * (MOST_GROWTH - 1.0)) as u64;
+        let samples = wish.samples.min(most_samples);
         let most_photons = (self.photons as f64 * (MOST_GROWTH - 1.0)) as u64;
         let photons = wish.photons.min(most_photons).next_multiple_of(1 << LEAST_NET_BITS);
         (samples > 0 || photons > 0 && self.flux.is_some()).then_some(Round { samples, photons })
@@ -330,20 +341,13 @@ impl Solver<'_, '_> {
         let indirect_error = estimate_error(&indirect, &total, &weights);
         let world = self.path.visibility.world;
         let (target, mesh_target) = (self.options.target_percent, self.options.mesh_target());
-        let per_mesh = |part: &Halves| mesh_errors(world, part, &total, &weights, error.mean, target).0;
-        let meshes = per_mesh(&total);
+        let (meshes, _) = mesh_errors(world, &total, &weights, error.mean, target);
         let mesh_percent = percentile_95(&meshes);
-        let variances = if mesh_percent / mesh_target > error.high / target {
-            // The meshes bind: what counts is the noise of those that miss their target.
-            let missed = |part: &Halves| {
-                let part = per_mesh(part);
-                let missing = meshes.iter().zip(&part).filter(|(m, _)| m.error_percent > mesh_target);
-                missing.map(|(_, p)| p.error_percent.powi(2)).sum::<f64>()
-            };
-            (missed(&direct), missed(&indirect))
-        } else {
-            (direct_error.percent.powi(2), indirect_error.percent.powi(2))
-        };
+        // What counts: the noise of everything, or of the meshes that miss their target where those bind.
+        let meshes_bind = mesh_percent / mesh_target > error.high / target;
+        let missed: Vec<bool> = meshes_missed(&meshes, mesh_target, world.scene.instances.len());
+        let counts = |i: usize| !meshes_bind || missed[weights.instance[i] as usize];
+        let variances = self.variances(&direct, &indirect, &weights, counts);
         Solution {
             total,
             weights,
@@ -360,6 +364,30 @@ impl Solver<'_, '_> {
             unit: self.flux.map_or(0.0, |f| f.unit),
             seconds: self.seconds,
         }
+    }
+
+    /// Variance that more direct samples would lower, and that more photons would, over the texels that count.
+    /// Photons of equal weight w are counted with the variance of a Poisson process, w E / area each; what the
+    /// indirect light scatters beyond that comes from the direct samples that photons start from.
+    fn variances(
+        &self,
+        direct: &Halves,
+        indirect: &Halves,
+        weights: &TexelWeights,
+        counts: impl Fn(usize) -> bool,
+    ) -> (f64, f64) {
+        let LightPath { texels, open, .. } = self.path;
+        let photon_weight = self.start_total / self.photons.max(1) as f64;
+        let (mut by_direct, mut by_indirect, mut by_counting) = (0.0, 0.0, 0.0);
+        for i in (0..weights.weight.len()).filter(|&i| weights.weight[i] > 0.0 && counts(i)) {
+            let w = weights.weight[i];
+            by_direct += w * f64::from(direct.difference(i).length_squared()) / 3.0;
+            by_indirect += w * f64::from(indirect.difference(i).length_squared()) / 3.0;
+            let e = f64::from(indirect.mean(i).element_sum()) / 3.0;
+            by_counting += w * 0.5 * photon_weight * e / f64::from(texels.texels[i].area * open[i]);
+        }
+        let photons = by_indirect.min(by_counting);
+        (by_direct + by_indirect - photons, photons)
     }
 
     fn direct_halves(&self) -> Halves {
@@ -413,6 +441,13 @@ impl Solver<'_, '_> {
         }
         weights
     }
+}
+
+/// Which instances are over the target per mesh.
+fn meshes_missed(meshes: &[MeshError], target: f64, instances: usize) -> Vec<bool> {
+    let mut missed = vec![false; instances];
+    meshes.iter().for_each(|m| missed[m.instance] = m.error_percent > target);
+    missed
 }
 
 /// Factor from flux over the whole area to flux over the open area; 0 where nothing is open.

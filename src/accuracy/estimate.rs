@@ -192,12 +192,10 @@ pub struct MeshError {
     pub area_within_target: f64,
 }
 
-/// Errors of `part` per node, related to the light of `total`, in the order of the instances; and the share of
-/// all area within the target.
+/// Errors per node, in the order of the instances, and the share of all area within the target.
 pub fn mesh_errors(
     world: &World,
-    part: &Halves,
-    total: &Halves,
+    halves: &Halves,
     weights: &TexelWeights,
     scene_mean: f64,
     target_percent: f64,
@@ -219,7 +217,7 @@ pub fn mesh_errors(
             continue;
         }
         let node = &mut nodes[weights.instance[i] as usize];
-        let (d, e) = (part.difference(i), f64::from(total.mean(i).element_sum()) / 3.0);
+        let (d, e) = (halves.difference(i), f64::from(halves.mean(i).element_sum()) / 3.0);
         let square = f64::from(d.length_squared()) / 3.0;
         node.texels += 1;
         node.sums.weight += w;

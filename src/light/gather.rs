@@ -28,34 +28,58 @@ pub struct StartSlot {
 
 const NO_SLOT: StartSlot = StartSlot { triangle: u32::MAX, uv: Vec2::ZERO, color: [0; 3] };
 
-/// One half of one texel: sums over samples.
+/// One half of one texel: sums over its samples.
 #[derive(Debug, Clone, Copy)]
 struct HalfTexel {
+    samples: u32,
+    /// Stored irradiance, and the square of its length.
     stored: Vec3,
+    stored_square: f32,
+    /// Largest channel of rho E, and its square.
     exitance: f32,
+    exitance_square: f32,
     slots: [StartSlot; START_SLOTS],
+}
+
+impl HalfTexel {
+    const EMPTY: HalfTexel = HalfTexel {
+        samples: 0,
+        stored: Vec3::ZERO,
+        stored_square: 0.0,
+        exitance: 0.0,
+        exitance_square: 0.0,
+        slots: [NO_SLOT; START_SLOTS],
+    };
+
+    /// Variance of one sample, of what is stored and of what is sent out.
+    fn variance(&self) -> f64 {
+        let n = f64::from(self.samples.max(1));
+        let stored = f64::from(self.stored_square) / n - f64::from(self.stored.length_squared()) / (n * n);
+        let sent = f64::from(self.exitance_square) / n - f64::from(self.exitance).powi(2) / (n * n);
+        // Three channels against one.
+        (stored / 3.0 + sent).max(0.0)
+    }
 }
 
 /// Direct light of all texels, gathered so far.
 #[derive(Debug)]
 pub struct Direct {
     halves: [Vec<HalfTexel>; 2],
-    samples: u32,
+    samples: u64,
     rays: u64,
 }
 
 impl Direct {
     /// Nothing gathered yet.
     pub fn new(texels: usize) -> Direct {
-        let empty = HalfTexel { stored: Vec3::ZERO, exitance: 0.0, slots: [NO_SLOT; START_SLOTS] };
-        Direct { halves: [vec![empty; texels], vec![empty; texels]], samples: 0, rays: 0 }
+        Direct { halves: [vec![HalfTexel::EMPTY; texels], vec![HalfTexel::EMPTY; texels]], samples: 0, rays: 0 }
     }
 
     /// Bytes per texel of both halves.
     pub const BYTES_PER_TEXEL: usize = 2 * size_of::<HalfTexel>();
 
-    /// Samples per texel and half so far.
-    pub fn samples(&self) -> u32 {
+    /// Samples of all texels and both halves so far.
+    pub fn samples(&self) -> u64 {
         self.samples
     }
 
@@ -66,12 +90,14 @@ impl Direct {
 
     /// Mean direct irradiance (lux) that is stored for a texel, one half.
     pub fn stored(&self, half: usize, texel: usize) -> Vec3 {
-        self.halves[half][texel].stored / self.samples.max(1) as f32
+        let t = &self.halves[half][texel];
+        t.stored / t.samples.max(1) as f32
     }
 
     /// Mean over the texel's samples of the largest channel of rho E (lux), one half.
     pub fn exitance(&self, half: usize, texel: usize) -> f32 {
-        self.halves[half][texel].exitance / self.samples.max(1) as f32
+        let t = &self.halves[half][texel];
+        t.exitance / t.samples.max(1) as f32
     }
 
     /// Where photons of this texel start; `None` where it reflects nothing.
@@ -80,44 +106,123 @@ impl Direct {
         (s.triangle != u32::MAX).then_some(s)
     }
 
-    /// Takes `samples` more per texel and half. Sample k of a texel is point k of a scrambled Sobol sequence of
-    /// the texel's own, so that all samples so far stay evenly spread.
-    pub fn extend(
+    /// How many more samples each half of each texel should take, so that `budget` in all bring the noise down
+    /// most: in proportion to the square root of area times variance (Neyman 1934), counting what a texel has.
+    ///
+    /// The variance that steers a half is taken from the *other* half. The number of samples of a half is then
+    /// independent of its values: its mean stays unbiased, and the halves stay uncorrelated.
+    pub fn allocate(&self, budget: u64, texels: &Texels) -> [Vec<u32>; 2] {
+        [0, 1].map(|half| {
+            let wish = self.wishes(1 - half, texels);
+            let have = &self.halves[half];
+            let more = |scale: f64| {
+                let chunks = wish
+                    .par_chunks(CHUNK)
+                    .zip(have.par_chunks(CHUNK))
+                    .map(|(w, h)| w.iter().zip(h).map(|(w, h)| more_samples(*w, scale, h.samples)).sum::<u64>());
+                chunks.sum::<u64>()
+            };
+            // The scale at which the additions use up this half's share of the budget.
+            let (mut low, mut high) = (0.0, 1.0);
+            while more(high) < budget / 2 && high < 1e12 {
+                high *= 4.0;
+            }
+            for _ in 0..24 {
+                let middle = 0.5 * (low + high);
+                if more(middle) < budget / 2 { low = middle } else { high = middle }
+            }
+            wish.iter().zip(have).map(|(w, h)| more_samples(*w, low, h.samples) as u32).collect()
+        })
+    }
+
+    /// Square root of area times variance of each texel as `half` sees it, evened out over neighbours and
+    /// relative to the mean: a penumbra found by one texel is looked for in those beside it.
+    fn wishes(&self, half: usize, texels: &Texels) -> Vec<f64> {
+        let raw: Vec<f64> =
+            self.halves[half].par_iter().zip(&texels.texels).map(|(h, t)| f64::from(t.area) * h.variance()).collect();
+        let mean = raw.iter().sum::<f64>() / raw.len().max(1) as f64;
+        if mean <= 0.0 {
+            return vec![1.0; raw.len()];
+        }
+        let mut out = Vec::with_capacity(raw.len());
+        for block in raw.chunks(NEIGHBOURS) {
+            let around = block.iter().sum::<f64>() / block.len() as f64;
+            out.extend(block.iter().map(|v| (0.5 * (v + around) + LEAST_SHARE * mean).sqrt() / mean.sqrt()));
+        }
+        out
+    }
+
+    /// Takes the same number of samples in every texel and half.
+    pub fn extend_all(
         &mut self,
         samples: u32,
         seed: u64,
         smooth: bool,
         texels: &Texels,
-        emitters: &Emitters,
-        visibility: &Visibility,
+        light: (&Emitters, &Visibility),
     ) {
-        let first = self.samples;
+        self.extend(&|_, _| samples, seed, smooth, texels, light);
+    }
+
+    /// Takes `more(half, texel)` samples in each half of each texel. Sample k of a texel is point k of a
+    /// scrambled Sobol sequence of the texel's own, so that all samples so far stay evenly spread.
+    pub fn extend(
+        &mut self,
+        more: &(impl Fn(usize, usize) -> u32 + Sync),
+        seed: u64,
+        smooth: bool,
+        texels: &Texels,
+        (emitters, visibility): (&Emitters, &Visibility),
+    ) {
         let [odd, even] = &mut self.halves;
-        let rays: u64 = odd
+        let (samples, rays) = odd
             .par_chunks_mut(CHUNK)
             .zip(even.par_chunks_mut(CHUNK))
             .enumerate()
             .map(|(chunk, (odd, even))| {
                 let mut sampler = TexelSampler::default();
-                let mut rays = 0;
+                let (mut samples, mut rays) = (0u64, 0u64);
                 for (i, halves) in odd.iter_mut().zip(even).enumerate() {
                     let id = chunk * CHUNK + i;
+                    let counts = [more(0, id), more(1, id)];
+                    if counts == [0, 0] {
+                        continue;
+                    }
                     sampler.load(texels, id);
                     let back = texels.texels[id].back;
                     for (h, half) in [halves.0, halves.1].into_iter().enumerate() {
                         let key = hash_mix(seed, (id as u64) << 1 | h as u64);
                         let points = Points { seed: hash_seed(&[key]), key };
-                        for k in first..first + samples {
+                        for k in half.samples..half.samples + counts[h] {
                             half.add(points, k, &sampler, back, smooth, emitters, visibility, &mut rays);
                         }
+                        half.samples += counts[h];
+                        samples += u64::from(counts[h]);
                     }
                 }
-                rays
+                (samples, rays)
             })
-            .sum();
+            .reduce(|| (0, 0), |a, b| (a.0 + b.0, a.1 + b.1));
         self.samples += samples;
         self.rays += rays;
     }
+}
+
+/// Texels along the Morton curve whose variances are evened out.
+const NEIGHBOURS: usize = 16;
+
+/// Share of the mean variance that every texel is taken to have at least.
+const LEAST_SHARE: f64 = 0.02;
+
+/// Most samples of one half of one texel.
+const MAX_SAMPLES: f64 = 65536.0;
+
+/// Additional samples for a texel that wants `wish * scale` and has `have`: too few to be worth the set-up of
+/// its sampler are left for later.
+fn more_samples(wish: f64, scale: f64, have: u32) -> u64 {
+    let want = (wish * scale).min(MAX_SAMPLES);
+    let more = (want - f64::from(have)).max(0.0) as u64;
+    if more < 2 { 0 } else { more }
 }
 
 /// The sequence of one half of one texel.
@@ -148,6 +253,7 @@ impl HalfTexel {
             return;
         }
         self.stored += light.stored;
+        self.stored_square += light.stored.length_squared();
         if light.transported == Vec3::ZERO {
             return;
         }
@@ -158,6 +264,7 @@ impl HalfTexel {
             return;
         }
         self.exitance += largest;
+        self.exitance_square += largest * largest;
         let mut stream = Stream::new(hash_mix(points.key, u64::from(k)));
         for slot in &mut self.slots {
             if stream.unit() * self.exitance < largest {
