@@ -2,8 +2,9 @@
 //! beside the repository (`../shared`, or the folder that EVENLIGHT_SHARED names); without them these tests say so and
 //! pass.
 //!
-//! Each scene is baked to 5 % on a page of 1024, for at most EVENLIGHT_ORACLE_SECONDS (60), and 200 texels drawn in
-//! proportion to their area are path-traced: `cargo test --release --test oracle -- --ignored --nocapture`.
+//! Each scene is baked to 5 % on a page of EVENLIGHT_ORACLE_TEXTURE (1024) texels squared, for at most
+//! EVENLIGHT_ORACLE_SECONDS (60), and 200 texels drawn in proportion to their area are path-traced:
+//! `cargo test --release --test oracle -- --ignored --nocapture`.
 //!
 //! Two things are tested. The mean difference over the texels is that of Student's t at 4.9 standard errors, which
 //! come from the scatter of the differences themselves. And at most 2 % of the texels may lie more than 4 of their own
@@ -26,11 +27,14 @@ use std::sync::{Mutex, PoisonError};
 const TEXELS: usize = 200;
 
 /// Paths of a texel: those that tell how many it needs, and the bounds of that number.
-const PILOT: usize = 128;
-const PATHS: std::ops::RangeInclusive<usize> = 256..=8192;
+const PILOT: usize = 512;
+const PATHS: std::ops::RangeInclusive<usize> = 1024..=32768;
 
 /// Relative standard error that the paths of a texel aim at.
 const AIM: f64 = 0.02;
+
+/// Relative deviation that f32 arithmetic may leave in a texel without any noise.
+const ROUNDING: f64 = 1e-4;
 
 /// Texels of the same chart over which the bake's own noise is averaged.
 const NEIGHBOURS: usize = 64;
@@ -52,8 +56,10 @@ impl Compared {
         self.bake - self.path
     }
 
+    /// Difference in standard errors, where both programs round by [`ROUNDING`].
     fn z(&self) -> f64 {
-        self.difference() / (self.bake_variance + self.path_variance).sqrt().max(f64::MIN_POSITIVE)
+        let rounding = (ROUNDING * self.bake.max(self.path)).powi(2).max(f64::MIN_POSITIVE);
+        self.difference() / (self.bake_variance + self.path_variance + rounding).sqrt()
     }
 }
 
@@ -97,19 +103,19 @@ fn draw(bake: &Bake, from: &[usize], random: &mut Random) -> Vec<usize> {
         .collect()
 }
 
-/// Variance of a texel's stored mean. Its own two halves say little: the squares of half differences of its
-/// neighbours in the chart are averaged, scaled by E / area as noise of counting is.
-fn own_variance(bake: &Bake, all: &[usize], position: usize) -> f64 {
-    let (texels, total) = (&bake.texels.texels, &bake.solution.total);
+/// Variance of the stored mean of texel `all[position]` if its irradiance is `level`. Its own two halves say little:
+/// the squares of half differences of its neighbours in the chart are averaged, scaled by E / area as noise of counting
+/// is. `level` is not the texel's own estimate: one that found too little light would seem too sure of it.
+fn own_variance(bake: &Bake, all: &[usize], position: usize, level: f64) -> f64 {
+    let (texels, total, area) = (&bake.texels.texels, &bake.solution.total, &bake.solution.weights.weight);
     let chart = texels[all[position]].chart;
     let from = position.saturating_sub(NEIGHBOURS / 2);
-    let scale = |i: usize| grey(total.mean(i)) / bake.solution.weights.weight[i];
-    let (mut sum, mut count) = (0.0, 0.0);
-    for &i in all[from..].iter().take(NEIGHBOURS).filter(|&&i| texels[i].chart == chart && scale(i) > 0.0) {
-        sum += grey(total.difference(i)).powi(2) / scale(i);
-        count += 1.0;
+    let (mut noise, mut light) = (0.0, 0.0);
+    for &i in all[from..].iter().take(NEIGHBOURS).filter(|&&i| texels[i].chart == chart) {
+        noise += area[i] * grey(total.difference(i)).powi(2);
+        light += grey(total.mean(i));
     }
-    if count > 0.0 { sum / count * scale(all[position]) } else { 0.0 }
+    if light > 0.0 { noise / light * level / area[all[position]] } else { 0.0 }
 }
 
 /// Irradiance of a texel and the square of its standard error, by `paths` paths from points that are not buried;
@@ -137,11 +143,12 @@ fn trace(bake: &Bake, tracer: &SceneTracer, texel: usize, paths: usize, random: 
 fn compare(bake: &Bake, tracer: &SceneTracer, all: &[usize], texel: usize, seed: u64) -> Option<Compared> {
     let mut random = Random::new(seed);
     let (mean, variance) = trace(bake, tracer, texel, PILOT, &mut random)?;
-    let wish = PILOT as f64 * variance / (AIM * mean).powi(2).max(f64::MIN_POSITIVE);
+    let wish = if mean > 0.0 { PILOT as f64 * variance / (AIM * mean).powi(2) } else { f64::INFINITY };
     let paths = (wish.ceil() as usize).clamp(*PATHS.start(), *PATHS.end());
     // The pilot itself is not counted: a number of paths chosen by their own values biases their mean.
     let (path, path_variance) = trace(bake, tracer, texel, paths, &mut random)?;
-    let bake_variance = own_variance(bake, all, all.partition_point(|&i| i < texel));
+    let level = path + path_variance.sqrt();
+    let bake_variance = own_variance(bake, all, all.partition_point(|&i| i < texel), level);
     Some(Compared { texel, bake: grey(bake.solution.total.mean(texel)), bake_variance, path, path_variance })
 }
 
@@ -167,11 +174,11 @@ fn agrees(name: &str, sky: f32) {
         println!("skipped: no {}", file.display());
         return;
     }
-    let seconds = std::env::var("EVENLIGHT_ORACLE_SECONDS").ok().and_then(|s| s.parse().ok()).unwrap_or(60.0);
+    let setting = |name: &str| std::env::var(name).ok().map(|s| s.parse::<u32>().expect("a whole number"));
     let options = BakeOptions {
         target_percent: 5.0,
-        max_texture: 1024,
-        time_limit: Some(seconds),
+        max_texture: setting("EVENLIGHT_ORACLE_TEXTURE").unwrap_or(1024),
+        time_limit: Some(setting("EVENLIGHT_ORACLE_SECONDS").unwrap_or(60).into()),
         normals: Normals::Geometric,
         sky: (sky > 0.0).then_some(SkySource::Constant(Vec3::splat(sky))),
         ..BakeOptions::default()
