@@ -181,6 +181,7 @@ fn agrees(name: &str, sky: f32) {
         time_limit: Some(setting("EVENLIGHT_ORACLE_SECONDS").unwrap_or(60).into()),
         normals: Normals::Geometric,
         sky: (sky > 0.0).then_some(SkySource::Constant(Vec3::splat(sky))),
+        seed: setting("EVENLIGHT_ORACLE_SEED").unwrap_or(0).into(),
         ..BakeOptions::default()
     };
     let scene = Scene::from_gltf(&file).expect("the scene loads");
@@ -225,9 +226,10 @@ fn describe(bake: &Bake, c: &Compared) -> String {
     sampler.load(&bake.texels, c.texel);
     let (triangle, uv) = sampler.sample(Vec2::splat(0.5));
     let at = bake.world.frame.to_world(bake.world.position(triangle, uv));
+    let coincident = SceneTracer::new(bake).coincident(triangle, uv);
     let node = &bake.world.scene.instances[bake.solution.weights.instance[c.texel] as usize].name;
     format!(
-        "node {node}, triangle {triangle}{} at {at:.3} facing {:.2}: E {:.5} +- {:.5}, path {:.5} +- {:.5}, z {:+.1}",
+        "node {node}, triangle {triangle}{} at {at:.3} facing {:.2}: E {:.5} +- {:.5}, path {:.5} +- {:.5}, z {:+.1}{}",
         if bake.texels.texels[c.texel].back { " (back)" } else { "" },
         bake.world.normals[triangle as usize],
         c.bake,
@@ -235,6 +237,7 @@ fn describe(bake: &Bake, c: &Compared) -> String {
         c.path,
         c.path_variance.sqrt(),
         c.z(),
+        if coincident.is_empty() { String::new() } else { format!(", at the place of triangles {coincident:?}") },
     )
 }
 

@@ -76,6 +76,19 @@ impl<'b> SceneTracer<'b> {
         })
     }
 
+    /// Other triangles at the place of a point, nearer than rays start off their surface.
+    pub fn coincident(&self, triangle: u32, uv: Vec2) -> Vec<u32> {
+        let (above, below) = (self.point(triangle, uv, false).origin, self.point(triangle, uv, true).origin);
+        let mut found = Vec::new();
+        self.accel.visit_hits(&Ray { origin: above, direction: below - above, t_max: 1.0 }, |hit| {
+            found.push(hit.triangle);
+            ControlFlow::Continue(())
+        });
+        found.retain(|&t| t != triangle);
+        found.sort_unstable();
+        found
+    }
+
     /// One unbiased sample of the stored irradiance [lux] at a point, all reflections included.
     pub fn irradiance(&self, mut at: Point, random: &mut Random) -> DVec3 {
         let (mut weight, mut sum, mut first) = (Vec3::ONE, DVec3::ZERO, true);
