@@ -27,11 +27,11 @@ use std::sync::{Mutex, PoisonError};
 const TEXELS: usize = 200;
 
 /// Paths of a texel: those that tell how many it needs, and the bounds of that number.
-const PILOT: usize = 512;
-const PATHS: std::ops::RangeInclusive<usize> = 1024..=32768;
+const PILOT: usize = 256;
+const PATHS: std::ops::RangeInclusive<usize> = 512..=6144;
 
 /// Relative standard error that the paths of a texel aim at.
-const AIM: f64 = 0.02;
+const AIM: f64 = 0.03;
 
 /// Relative deviation that f32 arithmetic may leave in a texel without any noise.
 const ROUNDING: f64 = 1e-4;
@@ -105,17 +105,28 @@ fn draw(bake: &Bake, from: &[usize], random: &mut Random) -> Vec<usize> {
 
 /// Variance of the stored mean of texel `all[position]` if its irradiance is `level`. Its own two halves say little:
 /// the squares of half differences of its neighbours in the chart are averaged, scaled by E / area as noise of counting
-/// is. `level` is not the texel's own estimate: one that found too little light would seem too sure of it.
+/// is. `level` is not the texel's own estimate: one that found too little light would seem too sure of it. In a chart of
+/// too few texels, or none that is lit, all light is taken as that of photons counted one by one.
 fn own_variance(bake: &Bake, all: &[usize], position: usize, level: f64) -> f64 {
     let (texels, total, area) = (&bake.texels.texels, &bake.solution.total, &bake.solution.weights.weight);
     let chart = texels[all[position]].chart;
     let from = position.saturating_sub(NEIGHBOURS / 2);
-    let (mut noise, mut light) = (0.0, 0.0);
+    let (mut noise, mut light, mut count) = (0.0, 0.0, 0);
     for &i in all[from..].iter().take(NEIGHBOURS).filter(|&&i| texels[i].chart == chart) {
         noise += area[i] * grey(total.difference(i)).powi(2);
         light += grey(total.mean(i));
+        count += 1;
     }
-    if light > 0.0 { noise / light * level / area[all[position]] } else { 0.0 }
+    let known = count >= NEIGHBOURS / 4 && noise > 0.0;
+    let per_level = if known { noise / light } else { photon_flux(bake) };
+    per_level * level / area[all[position]]
+}
+
+/// What one photon adds to the stored mean of a texel, times the texel's area [lux x frame units squared].
+fn photon_flux(bake: &Bake) -> f64 {
+    let ledger = &bake.solution.ledger;
+    let emitted = ledger.emitted.iter().sum::<i128>() as f64 / 3.0 * bake.solution.unit;
+    emitted / (ledger.photons.max(1) as f64).powi(2)
 }
 
 /// Irradiance of a texel and the square of its standard error, by `paths` paths from points that are not buried;
