@@ -9,4 +9,5 @@ pub mod path_tracer;
 pub mod random;
 pub mod rooms;
 pub mod runs;
+pub mod scene_tracer;
 pub mod statistics;
