@@ -5,7 +5,7 @@
 //! the next round is sized so that the target is met with the fewest rays. All decisions are made between
 //! rounds from sums in fixed order; only a time limit can make two runs differ.
 
-use crate::accuracy::{ErrorEstimate, Halves, MeshError, Pools, TexelWeights, estimate_error, mesh_errors};
+use crate::accuracy::{ErrorEstimate, Halves, Pools, TexelWeights, estimate_error, mesh_errors};
 use crate::atlas::{NO_CHART, Texels};
 use crate::error::BakeError;
 use crate::light::{Direct, Emitters, Visibility};
@@ -352,11 +352,16 @@ impl Solver<'_, '_> {
         let (target, mesh_target) = (self.options.target_percent, self.options.mesh_target());
         let (meshes, _) = mesh_errors(world, &total, &weights, error.mean, target);
         let mesh_percent = percentile_95(&meshes);
-        // What counts: the noise of everything, or of the meshes that miss their target where those bind.
-        let meshes_bind = mesh_percent / mesh_target > error.high / target;
-        let missed: Vec<bool> = meshes_missed(&meshes, mesh_target, world.scene.instances.len());
-        let counts = |i: usize| !meshes_bind || missed[weights.instance[i] as usize];
-        let variances = self.variances(&direct, &indirect, &weights, counts);
+        let split = self.variances(&direct, &indirect, &weights);
+        let variances = if mesh_percent / mesh_target > error.high / target {
+            // The meshes bind. Each that misses its target counts alike, however far it is from it: the worst
+            // twentieth may miss it.
+            let missed = meshes.iter().filter(|m| m.error_percent > mesh_target).map(|m| split[m.instance]);
+            let share = missed.map(|(a, b)| (a / (a + b).max(1e-300), b / (a + b).max(1e-300)));
+            share.fold((0.0, 0.0), |sum, s| (sum.0 + s.0, sum.1 + s.1))
+        } else {
+            split.iter().fold((0.0, 0.0), |sum, s| (sum.0 + s.0, sum.1 + s.1))
+        };
         Solution {
             total,
             weights,
@@ -376,28 +381,26 @@ impl Solver<'_, '_> {
         }
     }
 
-    /// Variance that more direct samples would lower, and that more photons would, over the texels that count.
+    /// Variance that more direct samples would lower, and that more photons would, of each instance.
+    ///
     /// Photons of equal weight w are counted with the variance of a Poisson process, w E / area each; what the
     /// indirect light scatters beyond that comes from the direct samples that photons start from.
-    fn variances(
-        &self,
-        direct: &Halves,
-        indirect: &Halves,
-        weights: &TexelWeights,
-        counts: impl Fn(usize) -> bool,
-    ) -> (f64, f64) {
-        let LightPath { texels, open, .. } = self.path;
+    fn variances(&self, direct: &Halves, indirect: &Halves, weights: &TexelWeights) -> Vec<(f64, f64)> {
+        let LightPath { texels, open, visibility, .. } = self.path;
         let photon_weight = self.start_total / self.photons.max(1) as f64;
-        let (mut by_direct, mut by_indirect, mut by_counting) = (0.0, 0.0, 0.0);
-        for i in (0..weights.weight.len()).filter(|&i| weights.weight[i] > 0.0 && counts(i)) {
-            let w = weights.weight[i];
-            by_direct += w * f64::from(direct.difference(i).length_squared()) / 3.0;
-            by_indirect += w * f64::from(indirect.difference(i).length_squared()) / 3.0;
+        let mut sums = vec![[0f64; 3]; visibility.world.scene.instances.len()];
+        for i in (0..weights.weight.len()).filter(|&i| weights.weight[i] > 0.0) {
+            let (w, sum) = (weights.weight[i], &mut sums[weights.instance[i] as usize]);
+            sum[0] += w * f64::from(direct.difference(i).length_squared()) / 3.0;
+            sum[1] += w * f64::from(indirect.difference(i).length_squared()) / 3.0;
             let e = f64::from(indirect.mean(i).element_sum()) / 3.0;
-            by_counting += w * 0.5 * photon_weight * e / f64::from(texels.texels[i].area * open[i]);
+            sum[2] += w * 0.5 * photon_weight * e / f64::from(texels.texels[i].area * open[i]);
         }
-        let photons = by_indirect.min(by_counting);
-        (by_direct + by_indirect - photons, photons)
+        let split = |[direct, indirect, counted]: [f64; 3]| {
+            let photons = indirect.min(counted);
+            (direct + indirect - photons, photons)
+        };
+        sums.into_iter().map(split).collect()
     }
 
     fn direct_halves(&self) -> Halves {
@@ -451,13 +454,6 @@ impl Solver<'_, '_> {
         }
         weights
     }
-}
-
-/// Which instances are over the target per mesh.
-fn meshes_missed(meshes: &[MeshError], target: f64, instances: usize) -> Vec<bool> {
-    let mut missed = vec![false; instances];
-    meshes.iter().for_each(|m| missed[m.instance] = m.error_percent > target);
-    missed
 }
 
 /// Factor from flux over the whole area to flux over the open area; 0 where nothing is open.
