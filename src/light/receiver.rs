@@ -1,6 +1,7 @@
 //! A point that light falls on.
 
 use crate::accel;
+use crate::sampling::orthonormal_basis;
 use crate::scene::World;
 use glam::{Vec2, Vec3};
 
@@ -25,7 +26,12 @@ impl Receiver {
         let side = if back { -1.0 } else { 1.0 };
         let geometric_normal = world.normals[triangle as usize] * side;
         let shading_normal = if smooth { world.shading_normal(triangle, uv) * side } else { geometric_normal };
-        let origin = accel::offset_origin(world.position(triangle, uv), geometric_normal, world.extent(triangle));
+        let position = world.position(triangle, uv);
+        let origin = accel::offset_origin(position, geometric_normal, world.extent(triangle));
+        // Rounding gathers points on a coarse lattice, so that some lie exactly in the plane of a wall that stands
+        // on this surface and would see both its sides. As far aside as the origin is above, they lie on one.
+        let (tangent, bitangent) = orthonormal_basis(geometric_normal);
+        let origin = origin + (tangent * 0.37 + bitangent * 0.61) * (origin - position).length();
         Receiver { triangle, uv, origin, geometric_normal, shading_normal }
     }
 

@@ -4,9 +4,9 @@ use super::bins::{DepositSink, Trail};
 use super::ledger::EnergyLedger;
 use super::start::StartTable;
 use super::walk::{Photon, walk};
-use crate::accel::{self, Ray};
+use crate::accel::Ray;
 use crate::atlas::Texels;
-use crate::light::{Direct, START_SLOTS, Visibility};
+use crate::light::{Direct, Receiver, START_SLOTS, Visibility};
 use crate::sampling::{DIMENSIONS, Stream, cosine_hemisphere, hash_mix, sobol, sobol_index_of_stratum, unit_f32};
 use glam::Vec2;
 use rayon::prelude::*;
@@ -114,13 +114,11 @@ impl Shooting<'_> {
             if dimension < DIMENSIONS { sobol(index, dimension, scramble) } else { stream.bits() }
         };
         let world = self.visibility.world;
-        let side = if self.texels.texels[texel].back { -1.0 } else { 1.0 };
-        let normal = world.normals[start.triangle as usize] * side;
-        let position = world.position(start.triangle, start.uv);
-        let origin = accel::offset_origin(position, normal, world.extent(start.triangle));
-        let direction = cosine_hemisphere(normal, Vec2::new(unit_f32(random()), unit_f32(random())));
+        // The very point that the direct light was found at.
+        let at = Receiver::new(world, start.triangle, start.uv, self.texels.texels[texel].back, false);
+        let direction = cosine_hemisphere(at.geometric_normal, Vec2::new(unit_f32(random()), unit_f32(random())));
         let flux = start.color.map(|c| ((u64::from(c) * u64::from(net.weight) + 32767) / 65535) as u32);
-        let photon = Photon { ray: Ray { origin, direction, t_max: f32::INFINITY }, flux };
+        let photon = Photon { ray: Ray { origin: at.origin, direction, t_max: f32::INFINITY }, flux };
         walk(photon, self.visibility, random, trail, ledger);
         texel
     }
