@@ -1,8 +1,9 @@
 //! The pipeline on one page.
 
 use crate::accel::Accel;
-use crate::accuracy::{Pools, TexelWeights, mesh_errors};
+use crate::accuracy::TexelWeights;
 use crate::atlas::{self, Atlas, Texels};
+use crate::cell::SurfaceTree;
 use crate::error::{BakeError, Warning};
 use crate::light::{Emitters, LightSettings, Lighting, Visibility, open_shares};
 use crate::lightmap::Lightmap;
@@ -68,17 +69,16 @@ fn bake_here<'s>(scene: &'s Scene, options: &BakeOptions, observer: &mut dyn Obs
     let visibility = Visibility::new(&world, &accel);
     let emitters =
         Emitters::new(&world, &lighting, LightSettings { indirect_only: options.lights == Lights::Indirect });
-    let (open, probe_rays) = match options.texel_value {
-        TexelValue::Mean => (vec![1.0; texels.mapped], 0),
-        TexelValue::Open => open_shares(&texels, &visibility, options.seed),
-    };
+    let (open, probe_rays) = open_shares(&texels, &visibility, options.seed);
     seconds.open = clock.lap();
 
     observer.stage(Stage::Light);
-    let weights = TexelWeights::new(&world, &texels, &open);
-    let pitch = 1.0 / (atlas.texels_per_metre * world.frame.metres);
-    let pools = Pools::new(&world, &texels, &weights.instance, &open, pitch);
-    let path = LightPath { texels: &texels, open: &open, pools: &pools, emitters: &emitters, visibility: &visibility };
+    let weights = match options.texel_value {
+        TexelValue::Open => TexelWeights::new(&world, &texels, &open),
+        TexelValue::Mean => TexelWeights::new(&world, &texels, &vec![1.0; texels.mapped]),
+    };
+    let tree = SurfaceTree::new(&world, &texels, &open);
+    let path = LightPath { texels: &texels, open: &open, tree: &tree, emitters: &emitters, visibility: &visibility };
     let solution = solve(path, weights, options, clock.began, observer)?;
     [seconds.direct, seconds.photons, seconds.estimate] = solution.seconds;
     clock.lap();
@@ -88,7 +88,6 @@ fn bake_here<'s>(scene: &'s Scene, options: &BakeOptions, observer: &mut dyn Obs
     let mut report = report(&world, &atlas, &texels, &open, &solution, &lighting, options);
     (report.work.emissive_triangles, report.work.lights) = emitters.counts();
     report.work.probe_rays = probe_rays;
-    report.atlas.pooled_texels = pools.len();
     if emitters.is_empty() {
         report.warnings.push(Warning::new(
             "no-light",
@@ -113,8 +112,6 @@ fn report(
 ) -> Report {
     let scene = world.scene;
     let metres2 = world.frame.metres * world.frame.metres;
-    let (meshes, area_within_target) =
-        mesh_errors(world, &solution.total, &solution.weights, solution.error.mean, options.target_percent);
     let area = |share: &dyn Fn(usize) -> f64| {
         (0..texels.mapped).map(|i| f64::from(texels.texels[i].area) * share(i)).sum::<f64>() * metres2
     };
@@ -135,17 +132,19 @@ fn report(
         sigma: 0.0,
         sigma_paper: 0.0,
         cell_bias: 0.0,
+        cell_bias_resolution: 0.0,
+        cell_energy_change: 100.0 * solution.energy_change,
         texel_error_percent: 0.0,
         texel_error_interval: [0.0; 2],
         luminance_error_percent: 0.0,
         texel_grid_error: None,
         shown_error_percent: None,
-        area_within_target,
+        area_within_target: solution.area_within_target,
         mesh_error_percent_95: solution.mesh_percent,
         outlier_share: 0.0,
-        split: Split { direct: solution.direct_error.percent, indirect: solution.indirect_error.percent },
+        split: Split { direct: 0.0, indirect: 0.0 },
         mean_irradiance: 0.0,
-        meshes,
+        meshes: solution.meshes.clone(),
         history: solution.history.clone(),
         work: Work {
             direct_samples: solution.direct_samples,
@@ -153,6 +152,8 @@ fn report(
             photons: solution.history.last().map_or(0, |h| h.photons),
             photon_rays: solution.ledger.rays,
             deposits: solution.ledger.deposits,
+            gather_rays: solution.gather_rays,
+            gathered_meshes: solution.gathered_meshes,
             ..Work::default()
         },
         energy: Energy::new(&solution.ledger, solution.unit * metres2),
@@ -161,7 +162,7 @@ fn report(
             charts: atlas.first_chart.last().copied().unwrap_or(0),
             texels: texels.texels[..texels.mapped].iter().filter(|t| !t.back).count(),
             transport_texels: texels.texels.len() - texels.mapped,
-            pooled_texels: 0,
+            cells: solution.cells,
             utilization: texels.texels[..texels.mapped].iter().filter(|t| !t.back).count() as f64
                 / atlas.pages.iter().map(|p| f64::from(p.width) * f64::from(p.height)).sum::<f64>().max(1.0),
             texels_per_metre: atlas.texels_per_metre,

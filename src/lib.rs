@@ -42,6 +42,7 @@ pub mod atlas;
 pub mod accel;
 pub mod light;
 pub mod photon;
+pub mod cell;
 pub mod accuracy;
 pub mod solve;
 pub mod lightmap;

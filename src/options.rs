@@ -45,6 +45,8 @@ pub struct BakeOptions {
     pub double_sided: DoubleSided,
     /// What a stored texel is. Default: the mean over its open part.
     pub texel_value: TexelValue,
+    /// What indirect light is smoothed over. Default: cells.
+    pub smoothing: Smoothing,
     /// What the maps hold. Default: irradiance over pi.
     pub quantity: Quantity,
     /// Nodes to bake, by name; empty: all. Others still occlude and bounce. Default: all.
@@ -79,6 +81,7 @@ impl Default for BakeOptions {
             normals: Normals::Smooth,
             double_sided: DoubleSided::Auto,
             texel_value: TexelValue::Open,
+            smoothing: Smoothing::Cells,
             quantity: Quantity::IrradianceOverPi,
             only: Vec::new(),
             exclude: Vec::new(),
@@ -176,6 +179,15 @@ pub enum TexelValue {
     Open,
     /// The mean over the whole footprint, buried area included: for comparison with other renderers.
     Mean,
+}
+
+/// What indirect light is smoothed over.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Smoothing {
+    /// Cells of many texels, as large as the noise asks for; what that blurs is part of the stated error.
+    Cells,
+    /// Nothing: every texel has the photons that it caught itself. Unbiased, and slow.
+    None,
 }
 
 /// What the maps hold.

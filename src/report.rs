@@ -1,6 +1,6 @@
 //! What a bake says about itself.
 
-use crate::accuracy::{ErrorEstimate, MeshError};
+use crate::accuracy::{MeshError, TexelError};
 use crate::error::Warning;
 use crate::options::Quantity;
 use crate::photon::EnergyLedger;
@@ -29,8 +29,12 @@ pub struct Report {
     pub sigma: f64,
     /// Distance of the two halves, as the founding paper states it: twice `sigma`.
     pub sigma_paper: f64,
-    /// What smoothing over cells adds; 0 while texels are estimated one by one.
+    /// What smoothing the indirect light over cells adds; 0 where the halves show none.
     pub cell_bias: f64,
+    /// Bias that could not be told from none: the root of the standard error of its square.
+    pub cell_bias_resolution: f64,
+    /// What smoothing changed in the sum of all indirect light (%).
+    pub cell_energy_change: f64,
     /// sqrt(sigma^2 + cell_bias^2).
     pub texel_error_percent: f64,
     /// 95 % interval of the texel error.
@@ -110,6 +114,10 @@ pub struct Work {
     pub photon_rays: u64,
     /// Deposits of photons.
     pub deposits: u64,
+    /// Rays that gathered indirect light for meshes that photons are too slow for.
+    pub gather_rays: u64,
+    /// Number of such meshes.
+    pub gathered_meshes: usize,
     /// Rays that look for buried surface.
     pub probe_rays: u64,
     /// Emissive triangles, and lights without area.
@@ -171,8 +179,8 @@ pub struct AtlasSummary {
     pub texels: usize,
     /// Texels of surfaces without a place on the map, which only reflect.
     pub transport_texels: usize,
-    /// Texels too small to catch photons, which share the indirect light of those around them.
-    pub pooled_texels: usize,
+    /// Cells that the indirect light of each half is smoothed over.
+    pub cells: [usize; 2],
     /// Share of the pages' texels that hold surface.
     pub utilization: f64,
     /// Density where nothing asks for another.
@@ -219,13 +227,16 @@ pub fn percentile_95(meshes: &[MeshError]) -> f64 {
 /// Names an estimate's fields as the report does.
 impl Report {
     /// Copies a texel error into the report's keys.
-    pub fn set_texel_error(&mut self, e: &ErrorEstimate) {
-        self.sigma = e.percent;
-        self.sigma_paper = 2.0 * e.percent;
-        self.texel_error_percent = (e.percent * e.percent + self.cell_bias * self.cell_bias).sqrt();
+    pub fn set_texel_error(&mut self, e: &TexelError) {
+        self.sigma = e.sigma;
+        self.sigma_paper = 2.0 * e.sigma;
+        self.cell_bias = e.cell_bias;
+        self.cell_bias_resolution = e.cell_bias_resolution;
+        self.texel_error_percent = e.percent;
         self.texel_error_interval = [e.low, e.high];
         self.luminance_error_percent = e.luminance_percent;
         self.outlier_share = e.outlier_share;
+        self.split = Split { direct: e.direct, indirect: e.indirect };
         self.mean_irradiance = e.mean;
     }
 }

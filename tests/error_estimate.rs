@@ -137,7 +137,7 @@ fn indirect_error_follows_the_law_of_poisson() {
     let figures: Vec<f64> = (0..40)
         .map(|seed| {
             let bake = run(&scene, &BakeOptions { seed, ..one_round(128) });
-            let indirect = bake.solution.indirect_error.percent / 100.0 / 0.75;
+            let indirect = bake.solution.error.indirect / 100.0 / 0.75;
             // A texel of area a expects a share a of the deposits, and its error counts with weight a: whatever
             // the areas, the law has the number of texels.
             indirect.powi(2) * bake.report.work.deposits as f64 / bake.texels.mapped as f64

@@ -55,7 +55,7 @@ fn committed_files_are_what_the_tool_writes() {
 #[test]
 fn cube_meets_the_radiosity_solution() {
     let scene = load("cube.glb");
-    let bake = run(&scene, &options(128, 4.0));
+    let bake = run(&scene, &options(128, 1.0));
     let luminance = |e: f64| e * (2.0 / 3.0) / PI;
     let mean = luminance(received(&bake) / 600.0);
     assert!((mean / 666.667 - 1.0).abs() < 0.005, "face mean {mean}");

@@ -1,7 +1,8 @@
-//! Error of the mean of two halves.
+//! Error of the mean of two halves: their noise, and the bias of cells.
 
 use super::interval::chi_square_quantile;
 use crate::atlas::Texels;
+use crate::cell::{Bias, Node, SurfaceTree};
 use crate::scene::World;
 use glam::Vec3;
 use rayon::prelude::*;
@@ -64,31 +65,61 @@ impl TexelWeights {
     }
 }
 
-/// An error over many texels, in percent of their mean.
-#[derive(Debug, Clone, Copy, Default, PartialEq, Serialize)]
-pub struct ErrorEstimate {
+/// The error of the map, in percent of its mean irradiance, all channels together.
+#[derive(Debug, Clone, Copy, Default, PartialEq)]
+pub struct TexelError {
     /// Area-weighted mean irradiance over the three channels (lux).
     pub mean: f64,
-    /// RMS error of the stored mean, all channels together.
+    /// Noise of the stored mean.
+    pub sigma: f64,
+    /// Of it direct light.
+    pub direct: f64,
+    /// Of it indirect light.
+    pub indirect: f64,
+    /// What smoothing over cells adds.
+    pub cell_bias: f64,
+    /// Its standard error, as the root of that of its square.
+    pub cell_bias_resolution: f64,
+    /// Both together.
     pub percent: f64,
     /// Lower end of its 95 % interval.
     pub low: f64,
     /// Upper end of its 95 % interval.
     pub high: f64,
-    /// The same for luminance, relative to the mean luminance.
+    /// Noise in luminance, relative to the mean luminance, and the bias.
     pub luminance_percent: f64,
-    /// Degrees of freedom of the estimate.
-    pub degrees_of_freedom: f64,
-    /// Share of the squared error in the worst thousandth of the texels.
+    /// Share of the squared noise in the worst thousandth of the texels.
     pub outlier_share: f64,
 }
 
-/// Texels per block of the variance of the estimate: longer than noise is correlated.
+/// Texels per block of the sums.
 const BLOCK: usize = 64;
+
+/// Degrees of freedom of the noise in a block of a cell's size: a mean and two slopes.
+const CELL_FREEDOM: f64 = 3.0;
 
 /// Rec. 709 luminance.
 fn luminance(c: Vec3) -> f64 {
     0.2126 * f64::from(c.x) + 0.7152 * f64::from(c.y) + 0.0722 * f64::from(c.z)
+}
+
+/// What is known of the light of every texel of the map.
+#[derive(Debug, Clone, Copy)]
+pub struct Known<'a> {
+    /// Light straight from emitters: every texel errs on its own.
+    pub direct: &'a Halves,
+    /// Reflected light: what lies in one block errs together.
+    pub indirect: &'a Halves,
+    /// Both.
+    pub total: &'a Halves,
+    /// How texels count.
+    pub weights: &'a TexelWeights,
+    /// The surface that blocks are of.
+    pub tree: &'a SurfaceTree,
+    /// Blocks of the indirect light.
+    pub blocks: &'a [Node],
+    /// Squared bias of the indirect light over all.
+    pub bias: Bias,
 }
 
 #[derive(Clone, Copy, Default)]
@@ -98,12 +129,15 @@ struct Sums {
     y: f64,
     square: f64,
     square_y: f64,
+    direct: f64,
+    indirect: f64,
 }
 
-/// Error over all texels with weight, against the mean of `total` (give other halves than `part` to relate one
-/// part's error to the whole light).
-pub fn estimate_error(part: &Halves, total: &Halves, weights: &TexelWeights) -> ErrorEstimate {
+/// The error over all texels with weight.
+pub fn texel_error(known: &Known) -> TexelError {
+    let Known { direct, indirect, total, weights, .. } = *known;
     let n = weights.weight.len();
+    let third = |d: Vec3| f64::from(d.length_squared()) / 3.0;
     // Fixed blocks, summed in order: the same bits for any number of threads.
     let blocks: Vec<Sums> = (0..n.div_ceil(BLOCK))
         .into_par_iter()
@@ -112,53 +146,74 @@ pub fn estimate_error(part: &Halves, total: &Halves, weights: &TexelWeights) -> 
             for i in b * BLOCK..((b + 1) * BLOCK).min(n) {
                 let w = weights.weight[i];
                 if w > 0.0 {
-                    let (d, e) = (part.difference(i), total.mean(i));
+                    let (d, e) = (total.difference(i), total.mean(i));
                     s.weight += w;
                     s.e += w * f64::from(e.element_sum()) / 3.0;
                     s.y += w * luminance(e);
-                    s.square += w * f64::from(d.length_squared()) / 3.0;
+                    s.square += w * third(d);
                     s.square_y += w * luminance(d).powi(2);
+                    s.direct += w * third(direct.difference(i));
+                    s.indirect += w * third(indirect.difference(i));
                 }
             }
             s
         })
         .collect();
     let sum = |f: fn(&Sums) -> f64| blocks.iter().map(f).sum::<f64>();
-    let (weight, square) = (sum(|s| s.weight), sum(|s| s.square));
-    if weight <= 0.0 {
-        return ErrorEstimate::default();
+    let (weight, square, mean) = (sum(|s| s.weight), sum(|s| s.square), sum(|s| s.e));
+    if weight <= 0.0 || mean <= 0.0 {
+        return TexelError::default();
     }
-    let mean = sum(|s| s.e) / weight;
-    let relative = |square: f64, mean: f64| {
-        if mean > 0.0 { 100.0 * (square / weight).max(0.0).sqrt() / mean } else { 0.0 }
-    };
-    let percent = relative(square, mean);
-    let nu = degrees_of_freedom(&blocks, square);
-    ErrorEstimate {
+    let mean = mean / weight;
+    let percent = |square: f64| 100.0 * (square.max(0.0) / weight).sqrt() / mean;
+    // Upper and lower end of the noise, taken as chi-square.
+    let variance = direct_variance(&blocks) + indirect_variance(known);
+    let nu = if variance > 0.0 { (2.0 * square * square / variance).clamp(3.0, 1e6) } else { 1e6 };
+    let noise_low = square * nu / chi_square_quantile(0.975, nu);
+    let noise_high = square * nu / chi_square_quantile(0.025, nu);
+    let spread = 1.96 * known.bias.variance.sqrt();
+    let middle = square + known.bias.square.max(0.0);
+    let bias = percent(known.bias.square);
+    let y = 100.0 * (sum(|s| s.square_y) / weight).sqrt() / (sum(|s| s.y) / weight);
+    TexelError {
         mean,
-        percent,
-        low: percent * (nu / chi_square_quantile(0.975, nu)).sqrt(),
-        high: percent * (nu / chi_square_quantile(0.025, nu)).sqrt(),
-        luminance_percent: relative(sum(|s| s.square_y), sum(|s| s.y) / weight),
-        degrees_of_freedom: nu,
-        outlier_share: outlier_share(part, weights, square),
+        sigma: percent(square),
+        direct: percent(sum(|s| s.direct)),
+        indirect: percent(sum(|s| s.indirect)),
+        cell_bias: bias,
+        cell_bias_resolution: percent(known.bias.variance.sqrt()),
+        percent: percent(middle),
+        low: percent(middle - (square - noise_low).hypot(spread)),
+        high: percent(square + known.bias.square.max(0.0) + (noise_high - square).hypot(spread)),
+        luminance_percent: y.hypot(bias),
+        outlier_share: outlier_share(total, weights, square),
     }
 }
 
-/// Degrees of freedom of Q = the sum of the blocks: the variance of Q is the sum of the squared differences of
-/// neighbouring blocks, in which what varies slowly over the atlas cancels.
-fn degrees_of_freedom(blocks: &[Sums], square: f64) -> f64 {
-    let variance: f64 = blocks.chunks_exact(2).map(|p| (p[0].square - p[1].square).powi(2)).sum();
-    if square <= 0.0 || variance <= 0.0 {
-        return (blocks.len() * BLOCK) as f64;
-    }
-    (2.0 * square * square / variance).clamp(4.0, (blocks.len() * BLOCK) as f64)
+/// Variance of the sum of the squared direct noise: neighbouring blocks are compared, in which what varies slowly
+/// over the atlas cancels.
+fn direct_variance(blocks: &[Sums]) -> f64 {
+    blocks.chunks_exact(2).map(|p| (p[0].direct - p[1].direct).powi(2)).sum()
 }
 
-fn outlier_share(part: &Halves, weights: &TexelWeights, square: f64) -> f64 {
+/// Variance of the sum of the squared indirect noise, from what each block adds to it.
+fn indirect_variance(known: &Known) -> f64 {
+    let Known { indirect, weights, tree, blocks, .. } = *known;
+    let term = |b: &Node| {
+        let of = |k: usize| {
+            let i = tree.elements[k].texel as usize;
+            weights.weight[i] * f64::from(indirect.difference(i).length_squared()) / 3.0
+        };
+        2.0 / CELL_FREEDOM * b.elements.clone().map(of).sum::<f64>().powi(2)
+    };
+    let terms: Vec<f64> = blocks.par_iter().map(term).collect();
+    terms.iter().sum()
+}
+
+fn outlier_share(total: &Halves, weights: &TexelWeights, square: f64) -> f64 {
     let n = weights.weight.len();
     let mut terms: Vec<f64> =
-        (0..n).map(|i| weights.weight[i] * f64::from(part.difference(i).length_squared()) / 3.0).collect();
+        (0..n).map(|i| weights.weight[i] * f64::from(total.difference(i).length_squared()) / 3.0).collect();
     let worst = n.div_ceil(1000).min(n);
     if worst == 0 || square <= 0.0 {
         return 0.0;
@@ -192,11 +247,13 @@ pub struct MeshError {
     pub area_within_target: f64,
 }
 
-/// Errors per node, in the order of the instances, and the share of all area within the target.
+/// Errors per node, in the order of the instances, and the share of all area within the target. `bias` is that of
+/// each instance.
 pub fn mesh_errors(
     world: &World,
     halves: &Halves,
     weights: &TexelWeights,
+    bias: &[Bias],
     scene_mean: f64,
     target_percent: f64,
 ) -> (Vec<MeshError>, f64) {
@@ -211,14 +268,19 @@ pub fn mesh_errors(
     let empty = Node { texels: 0, sums: Sums::default(), within: 0.0, least: f64::INFINITY, largest: 0.0 };
     let mut nodes = vec![empty; world.scene.instances.len()];
     let floor = 0.01 * scene_mean;
+    let mut weight = vec![0f64; nodes.len()];
+    (0..weights.weight.len()).for_each(|i| weight[weights.instance[i] as usize] += weights.weight[i]);
+    let mean_bias: Vec<f64> =
+        bias.iter().zip(&weight).map(|(b, &w)| if w > 0.0 { b.resolved() / w } else { 0.0 }).collect();
     for i in 0..weights.weight.len() {
         let w = weights.weight[i];
         if w <= 0.0 {
             continue;
         }
-        let node = &mut nodes[weights.instance[i] as usize];
+        let instance = weights.instance[i] as usize;
+        let node = &mut nodes[instance];
         let (d, e) = (halves.difference(i), f64::from(halves.mean(i).element_sum()) / 3.0);
-        let square = f64::from(d.length_squared()) / 3.0;
+        let square = f64::from(d.length_squared()) / 3.0 + mean_bias[instance];
         node.texels += 1;
         node.sums.weight += w;
         node.sums.e += w * e;

@@ -1,7 +1,7 @@
-//! 6. How far the maps are from the truth.
+//! 7. How far the maps are from the truth.
 //!
-//! In: the irradiance of every texel in two independent halves. Out: the error of their mean, with an interval,
-//! for the whole atlas and for each mesh.
+//! In: the irradiance of every texel in two independent halves, and the bias of its cells. Out: the error of their
+//! mean, with an interval, for the whole atlas and for each mesh, and what it takes to halve it.
 //!
 //! With E = (E_odd + E_even) / 2 the variance of E is the mean of (E_odd - E_even)^2 / 4. Voloboy et al.
 //! ("Analysis of accuracy of global illumination simulation") state the distance of the halves instead, twice
@@ -9,8 +9,8 @@
 
 mod estimate;
 mod interval;
-mod pools;
+mod plan;
 
-pub use estimate::{ErrorEstimate, Halves, MeshError, TexelWeights, estimate_error, mesh_errors};
+pub use estimate::{Halves, Known, MeshError, TexelError, TexelWeights, mesh_errors, texel_error};
 pub use interval::{chi_square_quantile, normal_quantile};
-pub use pools::Pools;
+pub use plan::{MeshPlan, Missed, Spent, cheapest_growth, plan_meshes};

@@ -9,7 +9,7 @@
 
 use super::Atlas;
 use crate::scene::{SurfaceFlags, World};
-use glam::{DVec2, Vec2};
+use glam::{DVec2, Vec2, Vec3};
 use rayon::prelude::*;
 
 /// Marks a grid cell or triangle without a texel.
@@ -521,6 +521,25 @@ impl TexelSampler {
                 });
             }
         }
+    }
+
+    /// Centroid of the texel's surface [frame units] and its unit mean normal on the front; the normal of one of
+    /// its triangles where they cancel. [`load`](Self::load) must have been called.
+    pub fn centre(&self, world: &World) -> (Vec3, Vec3) {
+        if let Some(s) = &self.square {
+            let middle = inside(s.corner + (s.edges[0] + s.edges[1]) * 0.5);
+            return (world.position(s.triangle, middle), world.normals[s.triangle as usize]);
+        }
+        let (mut position, mut normal, mut below) = (Vec3::ZERO, Vec3::ZERO, 0.0);
+        for f in &self.fans {
+            let share = f.cumulative - below;
+            below = f.cumulative;
+            let middle = inside(f.corner + (f.edges[0] + f.edges[1]) / 3.0);
+            position += share * world.position(f.triangle, middle);
+            normal += share * world.normals[f.triangle as usize];
+        }
+        let normal = normal.try_normalize().unwrap_or(world.normals[self.fans[0].triangle as usize]);
+        (position / below, normal)
     }
 
     /// Triangle and barycentric weights of the point at `u` of the unit square. [`load`](Self::load) must

@@ -3,7 +3,7 @@
 use clap::{Args, Parser, Subcommand};
 use evenlight::BakeError;
 use evenlight::options::{
-    BakeOptions, Density, DoubleSided, Lights, Normals, Quantity, SkySource, Sun, TexelValue, Unwrapper, UvSource,
+    BakeOptions, Density, DoubleSided, Lights, Normals, Quantity, SkySource, Sun, Smoothing, TexelValue, Unwrapper, UvSource,
 };
 use evenlight::output::lightmap_exr::Layer;
 use glam::Vec3;
@@ -120,6 +120,9 @@ pub struct BakeArgs {
     /// Mean over a texel's open part, or over all of it; `fit` is not built yet.
     #[arg(long, default_value = "open", value_parser = ["open", "mean", "fit"], help_heading = "Maps")]
     texel_value: String,
+    /// Smooth indirect light over cells as large as its noise asks for, or leave every texel its own photons.
+    #[arg(long, default_value = "cells", value_parser = ["cells", "none"], help_heading = "Maps")]
+    smoothing: String,
     /// What the maps hold: E / pi [cd/m2], or E [lux].
     #[arg(long, default_value = "irradiance-over-pi", value_parser = ["irradiance-over-pi", "irradiance"], help_heading = "Maps")]
     quantity: String,
@@ -199,6 +202,7 @@ impl BakeArgs {
                 _ => DoubleSided::Auto,
             },
             texel_value: if self.texel_value == "mean" { TexelValue::Mean } else { TexelValue::Open },
+            smoothing: if self.smoothing == "none" { Smoothing::None } else { Smoothing::Cells },
             quantity: if self.quantity == "irradiance" { Quantity::Irradiance } else { Quantity::IrradianceOverPi },
             only: self.only.clone(),
             exclude: self.exclude.clone(),

@@ -52,7 +52,7 @@ pub struct Shooting<'a> {
     /// Integer unit of flux.
     pub flux: Flux,
     /// Where each half starts.
-    pub starts: [StartTable; 2],
+    pub starts: &'a [StartTable; 2],
     /// Direct light with its start points.
     pub direct: &'a Direct,
     /// All texels.

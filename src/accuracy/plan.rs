@@ -1,0 +1,174 @@
+//! How much more light it takes.
+
+/// The squared error of the indirect light falls as photons^-this: cells shrink as photons get more, so that
+/// noise and bias fall together (-2/3 for smooth light, -1/2 at kinks; measured -0.5 to -0.7).
+const INDIRECT_FALL: f64 = 0.6;
+
+/// Aimed for below the target: estimates scatter.
+const MARGIN: f64 = 0.96;
+
+/// Squared errors by source and the rays spent on each.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Spent {
+    /// Squared error of the direct light, falling as 1 / rays.
+    pub direct: f64,
+    /// Squared error of the indirect light, noise and bias.
+    pub indirect: f64,
+    /// Rays for direct light, > 0.
+    pub direct_rays: f64,
+    /// Rays of photons, > 0.
+    pub photon_rays: f64,
+}
+
+/// Factors (>= 1) on both kinds of work that bring the sum of the squared errors down to `1 / needed` of it with
+/// the fewest rays.
+pub fn cheapest_growth(spent: &Spent, needed: f64) -> (f64, f64) {
+    let Spent { direct, indirect, direct_rays, photon_rays } = *spent;
+    let goal = (direct + indirect) / needed * MARGIN * MARGIN;
+    if needed <= 1.0 || goal <= 0.0 || goal.is_nan() {
+        return (1.0, 1.0);
+    }
+    // Where each ray brings the same, both kinds are worth as much: the price m of error says how far to go.
+    let growth = |m: f64| {
+        let x = (m * direct / direct_rays).sqrt();
+        let y = libm::pow(m * INDIRECT_FALL * indirect / photon_rays, 1.0 / (1.0 + INDIRECT_FALL));
+        (x.max(1.0), y.max(1.0))
+    };
+    let error = |(x, y): (f64, f64)| direct / x + indirect * libm::pow(y, -INDIRECT_FALL);
+    // By logarithms, for prices span many orders of magnitude.
+    let scale = (direct_rays + photon_rays) / (direct + indirect);
+    let (mut low, mut high) = (-40.0, 80.0);
+    for _ in 0..60 {
+        let middle = 0.5 * (low + high);
+        if error(growth(scale * libm::exp2(middle))) > goal { low = middle } else { high = middle }
+    }
+    growth(scale * libm::exp2(high))
+}
+
+/// A mesh above its target.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Missed {
+    /// Scene instance.
+    pub instance: usize,
+    /// Squared error of its direct light, in units of the squared target.
+    pub direct: f64,
+    /// Squared error of its indirect light, likewise.
+    pub indirect: f64,
+    /// Texels with surface.
+    pub texels: usize,
+    /// Rays that each of its texels gathers indirect light with, per half; 0 while photons are to do.
+    pub gathered: u32,
+}
+
+/// What brings missed meshes to their target.
+#[derive(Debug, Clone, Default, PartialEq)]
+pub struct MeshPlan {
+    /// Factor on the photons, >= 1.
+    pub photons: f64,
+    /// Factor on the direct samples, >= 1.
+    pub direct: f64,
+    /// (instance, gather rays of each texel and half).
+    pub gather: Vec<(usize, u32)>,
+}
+
+/// Rays that a gather sample of both halves takes: one that looks around and one towards the light, each.
+const RAYS_PER_SAMPLE: f64 = 4.0;
+
+/// Squared relative scatter of one gather sample, before it was measured.
+const GATHER_SCATTER: f64 = 2.0;
+
+/// Gather rays of a texel and half: at least, at most, and growth from round to round.
+const GATHER_RANGE: std::ops::RangeInclusive<f64> = 16.0..=16384.0;
+const GATHER_GROWTH: f64 = 8.0;
+
+/// The cheapest way for all of `missed` but the `spared` dearest: more photons serve all, gathering serves one
+/// mesh for rays in proportion to its texels. `target` is the meshes' target as a fraction.
+pub fn plan_meshes(missed: &[Missed], spared: usize, target: f64, photon_rays: f64) -> MeshPlan {
+    /// Half of the squared target for direct light, half for indirect light.
+    const SHARE: f64 = 0.5;
+    let samples = |m: &Missed| {
+        let wish = if m.gathered > 0 {
+            f64::from(m.gathered) * (m.indirect / SHARE * 1.1).min(GATHER_GROWTH)
+        } else {
+            GATHER_SCATTER / (2.0 * SHARE * target * target)
+        };
+        wish.clamp(*GATHER_RANGE.start(), *GATHER_RANGE.end()).ceil()
+    };
+    let cost = |m: &Missed| samples(m) * m.texels as f64 * RAYS_PER_SAMPLE;
+    let mut meshes: Vec<&Missed> = missed.iter().collect();
+    meshes.sort_by(|a, b| cost(b).total_cmp(&cost(a)).then(a.instance.cmp(&b.instance)));
+    let meshes = &meshes[spared.min(meshes.len())..];
+
+    // Photon growth that each mesh would need, the largest first: those above a line gather, the rest wait for
+    // photons to grow up to it.
+    let growth = |m: &Missed| if m.gathered > 0 { f64::INFINITY } else { libm::pow(m.indirect / SHARE, 1.0 / INDIRECT_FALL) };
+    let mut by_growth: Vec<(f64, f64, &Missed)> = meshes
+        .iter()
+        .filter(|m| m.indirect > SHARE && !(m.gathered > 0 && f64::from(m.gathered) >= *GATHER_RANGE.end()))
+        .map(|m| (growth(m), cost(m), *m))
+        .collect();
+    by_growth.sort_by(|a, b| b.0.total_cmp(&a.0).then(a.2.instance.cmp(&b.2.instance)));
+    let (mut best, mut gathered_cost) = ((f64::INFINITY, 0), 0.0);
+    for k in 0..=by_growth.len() {
+        let photons = by_growth.get(k).map_or(1.0, |g| g.0.max(1.0));
+        let total = gathered_cost + photon_rays * (photons - 1.0);
+        if total < best.0 {
+            best = (total, k);
+        }
+        gathered_cost += by_growth.get(k).map_or(0.0, |g| g.1);
+    }
+    let k = best.1;
+    MeshPlan {
+        photons: by_growth.get(k).map_or(1.0, |g| g.0.max(1.0)),
+        direct: meshes.iter().map(|m| m.direct / SHARE).fold(1.0, f64::max),
+        gather: by_growth[..k].iter().map(|g| (g.2.instance, samples(g.2) as u32)).collect(),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn growth_meets_the_goal_at_the_least_cost() {
+        let spent = Spent { direct: 3.0, indirect: 5.0, direct_rays: 1e6, photon_rays: 3e6 };
+        let (x, y) = cheapest_growth(&spent, 4.0);
+        let error = |x: f64, y: f64| 3.0 / x + 5.0 * y.powf(-INDIRECT_FALL);
+        let cost = |x: f64, y: f64| 1e6 * x + 3e6 * y;
+        assert!((error(x, y) / (2.0 * MARGIN * MARGIN) - 1.0).abs() < 1e-6);
+        // Any other way to the same error costs more.
+        for other in [0.8 * x, 1.2 * x] {
+            let rest = error(x, y) - 3.0 / other;
+            let paired = (rest / 5.0).powf(-1.0 / INDIRECT_FALL);
+            assert!(cost(other, paired) > cost(x, y));
+        }
+    }
+
+    #[test]
+    fn what_adds_no_error_does_not_grow() {
+        let spent = Spent { direct: 0.0, indirect: 1.0, direct_rays: 1e6, photon_rays: 1e6 };
+        assert_eq!(cheapest_growth(&spent, 9.0).0, 1.0);
+        let spent = Spent { direct: 1.0, indirect: 0.0, direct_rays: 1e6, photon_rays: 1e6 };
+        let (x, y) = cheapest_growth(&spent, 9.0);
+        assert_eq!(y, 1.0);
+        assert!((x - 9.0 / (MARGIN * MARGIN)).abs() < 1e-3);
+        assert_eq!(cheapest_growth(&spent, 0.5), (1.0, 1.0));
+    }
+
+    #[test]
+    fn small_meshes_gather_and_large_ones_wait_for_photons() {
+        let missed = |instance, indirect, texels| Missed { instance, direct: 0.1, indirect, texels, gathered: 0 };
+        let meshes = [missed(0, 400.0, 30), missed(1, 1.2, 200_000), missed(2, 90.0, 100)];
+        let plan = plan_meshes(&meshes, 0, 0.15, 1e7);
+        assert_eq!(plan.gather.iter().map(|g| g.0).collect::<Vec<_>>(), [0, 2]);
+        assert!(plan.photons > 1.5 && plan.photons < 10.0, "{plan:?}");
+        assert_eq!(plan.direct, 1.0);
+        // The dearest may be spared.
+        let plan = plan_meshes(&meshes, 1, 0.15, 1e7);
+        assert_eq!(plan.photons, 1.0);
+        // What is gathered grows by what is missing.
+        let again = Missed { gathered: 89, indirect: 2.0, ..meshes[0] };
+        let plan = plan_meshes(&[again], 0, 0.15, 1e7);
+        assert_eq!(plan.gather, [(0, (89.0f64 * 2.0 / 0.5 * 1.1).ceil() as u32)]);
+    }
+}

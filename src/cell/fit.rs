@@ -1,0 +1,225 @@
+//! Irradiance between cells: a plane fitted around each, blended where they meet.
+
+use super::ElementFlux;
+use super::links::{Cells, linked};
+use super::tree::{Element, SurfaceTree};
+use crate::accel::Accel;
+use glam::{DMat3, DVec3, Vec3};
+use rayon::prelude::*;
+
+/// A plane is fitted to its cell and those around it whose centres are nearer than this many sides of the cell,
+/// with a weight that falls linearly to 0 there.
+const FIT_REACH: f32 = 1.2;
+
+/// A plane counts up to this many sides of its cell away from the centre.
+const BLEND_REACH: f32 = 1.2;
+
+/// Cells whose normals are further apart than this have nothing to do with each other.
+const LEAST_COSINE: f32 = 0.7;
+
+/// A cell with the moments that fits need. All about `centre`.
+#[derive(Debug, Clone, Copy)]
+struct Cell {
+    area: f64,
+    /// Centroid of its area [frame units].
+    centre: Vec3,
+    /// The element nearest to it.
+    middle: Element,
+    normal: Vec3,
+    /// Side of the square with the same variance [frame units].
+    side: f32,
+    /// Second moment of the area, over the area.
+    covariance: DMat3,
+    flux: DVec3,
+    /// First moment of the flux per channel.
+    moment: [DVec3; 3],
+}
+
+/// E(x) = value + gradient . (x - centre) per channel.
+#[derive(Debug, Clone, Copy)]
+struct Plane {
+    value: Vec3,
+    gradient: [Vec3; 3],
+}
+
+/// Irradiance (lux) of every element, in the order of the tree. `flux` is that of one half, `cells` its cells,
+/// `noise` the variance of a cell's flux over its flux, for all channels.
+pub fn reconstruct(tree: &SurfaceTree, cells: &Cells, flux: &ElementFlux, noise: f64, accel: &Accel) -> Vec<Vec3> {
+    let moments: Vec<Cell> = cells.ranges.par_iter().map(|r| Cell::new(tree, &cells.order[r.clone()], flux)).collect();
+    let index = CellIndex::new(&moments);
+    let around: Vec<Vec<u32>> =
+        (0..moments.len()).into_par_iter().map(|i| index.around(&moments, i, accel)).collect();
+    let planes: Vec<Plane> =
+        (0..moments.len()).into_par_iter().map(|i| fit(&moments, i, &around[i], noise)).collect();
+    let parts: Vec<Vec<Vec3>> = (0..moments.len())
+        .into_par_iter()
+        .map(|i| {
+            let at = |&k: &u32| blend(&moments, &planes, i, &around[i], tree.elements[k as usize].position);
+            cells.order[cells.ranges[i].clone()].iter().map(at).collect()
+        })
+        .collect();
+    let mut out = vec![Vec3::ZERO; tree.elements.len()];
+    cells.order.iter().zip(parts.iter().flatten()).for_each(|(&k, &e)| out[k as usize] = e);
+    out
+}
+
+impl Cell {
+    fn new(tree: &SurfaceTree, elements: &[u32], flux: &ElementFlux) -> Cell {
+        let elements = || elements.iter().map(|&k| (&tree.elements[k as usize], &flux[k as usize]));
+        let (mut area, mut centre, mut normal) = (0.0, DVec3::ZERO, DVec3::ZERO);
+        for (e, _) in elements() {
+            let a = f64::from(e.area);
+            area += a;
+            centre += a * e.position.as_dvec3();
+            normal += a * e.normal.as_dvec3();
+        }
+        let centre = (centre / area).as_vec3();
+        let (mut covariance, mut total, mut moment) = (DMat3::ZERO, DVec3::ZERO, [DVec3::ZERO; 3]);
+        for (e, f) in elements() {
+            let (d, f) = ((e.position - centre).as_dvec3(), DVec3::from(f.map(f64::from)));
+            // A texel is a small square itself.
+            let own = DMat3::from_diagonal(DVec3::splat(f64::from(e.area) / 12.0));
+            covariance += f64::from(e.area) * (outer(d, d) + own);
+            total += f;
+            (0..3).for_each(|c| moment[c] += f[c] * d);
+        }
+        let covariance = covariance * (1.0 / area);
+        let trace = covariance.x_axis.x + covariance.y_axis.y + covariance.z_axis.z;
+        let distance = |e: &&Element| e.position.distance_squared(centre);
+        let middle = elements().map(|(e, _)| e).min_by(|a, b| distance(a).total_cmp(&distance(b)));
+        Cell {
+            area,
+            centre,
+            middle: *middle.expect("a cell has elements"),
+            normal: normal.as_vec3().normalize_or_zero(),
+            side: (6.0 * trace).sqrt() as f32,
+            covariance,
+            flux: total,
+            moment,
+        }
+    }
+}
+
+fn outer(a: DVec3, b: DVec3) -> DMat3 {
+    DMat3::from_cols(a * b.x, a * b.y, a * b.z)
+}
+
+/// Weighted least squares over the cell and those around it.
+fn fit(cells: &[Cell], i: usize, around: &[u32], noise: f64) -> Plane {
+    let own = &cells[i];
+    let reach = FIT_REACH * own.side;
+    // Sums of w A, w A x, w A x x, w F, w F x.
+    let (mut area, mut first, mut second) = (0.0, DVec3::ZERO, DMat3::ZERO);
+    let (mut flux, mut moment) = (DVec3::ZERO, [DVec3::ZERO; 3]);
+    let mut squares = 0.0;
+    for &j in around {
+        let c = &cells[j as usize];
+        let d = c.centre - own.centre;
+        let w = f64::from(1.0 - d.length() / reach);
+        if w <= 0.0 {
+            continue;
+        }
+        let d = d.as_dvec3();
+        area += w * c.area;
+        squares += w * w * c.area;
+        first += w * c.area * d;
+        second += (c.covariance + outer(d, d)) * (w * c.area);
+        flux += w * c.flux;
+        (0..3).for_each(|k| moment[k] += w * (c.moment[k] + c.flux[k] * d));
+    }
+    let (mean, middle) = (flux / area, first / area);
+    let scatter = second * (1.0 / area) - outer(middle, middle);
+    let trace = scatter.x_axis.x + scatter.y_axis.y + scatter.z_axis.z;
+    if trace <= 0.0 || mean.max_element() <= 0.0 {
+        return Plane { value: mean.as_vec3(), gradient: [Vec3::ZERO; 3] };
+    }
+    // Across the surface there is no extent: the ridge keeps the gradient within it.
+    let inverse = (scatter + DMat3::from_diagonal(DVec3::splat(1e-3 * trace))).inverse();
+    let slope: [DVec3; 3] = std::array::from_fn(|k| inverse * (moment[k] / area - middle * mean[k]));
+    // Shrunk by the share of its own explained square that noise explains (James and Stein), two directions for
+    // each channel.
+    let explained: f64 = (0..3).map(|k| slope[k].dot(scatter * slope[k])).sum::<f64>() * area;
+    let by_noise = 2.0 * noise * mean.element_sum() / 3.0 * squares / area;
+    let keep = if explained > 0.0 { (1.0 - by_noise / explained).max(0.0) } else { 0.0 };
+    let slope = slope.map(|s| s * keep);
+    let value: DVec3 = DVec3::from(std::array::from_fn::<f64, 3, _>(|k| mean[k] - slope[k].dot(middle)));
+    Plane { value: value.as_vec3(), gradient: slope.map(|s| s.as_vec3()) }
+}
+
+/// The planes around `at`, a point of cell `i`, by a partition of unity.
+fn blend(cells: &[Cell], planes: &[Plane], i: usize, around: &[u32], at: Vec3) -> Vec3 {
+    let (mut sum, mut weight) = (Vec3::ZERO, 0.0);
+    for &j in around {
+        let cell = &cells[j as usize];
+        let d = at - cell.centre;
+        let mut w = 1.0 - d.length() / (BLEND_REACH * cell.side);
+        if j as usize == i {
+            w = w.max(0.01);
+        } else if w <= 0.0 {
+            continue;
+        }
+        w *= w;
+        let plane = &planes[j as usize];
+        let value = plane.value + Vec3::from(plane.gradient.map(|g| g.dot(d)));
+        sum += w * value.max(Vec3::ZERO);
+        weight += w;
+    }
+    sum / weight
+}
+
+/// Finds the cells around one: a binary tree of boxes over them in their order, which follows the surface.
+struct CellIndex {
+    /// In preorder, as in [`SurfaceTree`].
+    boxes: Vec<(Vec3, Vec3, f32)>,
+}
+
+impl CellIndex {
+    fn new(cells: &[Cell]) -> CellIndex {
+        let mut boxes = vec![(Vec3::INFINITY, Vec3::NEG_INFINITY, 0.0); (2 * cells.len()).saturating_sub(1)];
+        fn fill(boxes: &mut [(Vec3, Vec3, f32)], cells: &[Cell]) {
+            match cells {
+                [] => {}
+                [c] => boxes[0] = (c.centre, c.centre, c.side),
+                _ => {
+                    let m = cells.len() / 2;
+                    let (head, rest) = boxes.split_at_mut(1);
+                    let (a, b) = rest.split_at_mut(2 * m - 1);
+                    fill(a, &cells[..m]);
+                    fill(b, &cells[m..]);
+                    head[0] = (a[0].0.min(b[0].0), a[0].1.max(b[0].1), a[0].2.max(b[0].2));
+                }
+            }
+        }
+        fill(&mut boxes, cells);
+        CellIndex { boxes }
+    }
+
+    /// Cells that a fit of cell `i` needs, or whose planes may reach into it, without a wall between; with `i`
+    /// itself, in order.
+    fn around(&self, cells: &[Cell], i: usize, accel: &Accel) -> Vec<u32> {
+        let mut found = Vec::new();
+        let mut open = vec![(0, 0, cells.len())];
+        let own = &cells[i];
+        let fit = FIT_REACH * own.side;
+        while let Some((node, from, to)) = open.pop() {
+            let (lo, hi, side) = self.boxes[node];
+            let nearest = own.centre.clamp(lo, hi);
+            // Half the diagonal of a square cell, and a little for one that is not.
+            if own.centre.distance(nearest) > fit.max(own.side + BLEND_REACH * side) {
+                continue;
+            }
+            if to - from == 1 {
+                let other = &cells[from];
+                let alike = || other.normal.dot(own.normal) >= LEAST_COSINE;
+                if from == i || alike() && linked(&own.middle, &other.middle, accel) {
+                    found.push(from as u32);
+                }
+                continue;
+            }
+            let m = (to - from) / 2;
+            open.push((node + 2 * m, from + m, to));
+            open.push((node + 1, from, from + m));
+        }
+        found
+    }
+}

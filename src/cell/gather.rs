@@ -1,0 +1,195 @@
+//! Final gather: the indirect light of single texels, looked up where their rays end.
+//!
+//! A small or dark mesh catches a photon in a million, but its few texels can look around for themselves: one ray
+//! brings the light of all bounces, since where it ends the map already knows it (Jensen, "Global illumination
+//! using photon maps", 1996). Rays leave by the cosine, and towards the texels that send out most direct light;
+//! the balance heuristic weighs both, so that neither a small bright patch nor a near wall makes spikes.
+//!
+//! Each half looks up its own half alone: the halves of what is gathered stay independent.
+
+use crate::accel::{Ray, offset_origin};
+use crate::atlas::{TexelSampler, Texels};
+use crate::light::{Direct, Receiver, START_SLOTS, Visibility};
+use crate::photon::StartTable;
+use crate::sampling::{Stream, cosine_hemisphere, hash_mix, hash_seed, sobol, unit_f32};
+use crate::scene::SurfaceFlags;
+use glam::{Vec2, Vec3};
+use rayon::prelude::*;
+use std::f32::consts::PI;
+
+/// A ray ends after this many surfaces that only pass or have no place on the map.
+const MAX_SURFACES: u32 = 64;
+
+/// Where light is looked up.
+#[derive(Debug, Clone, Copy)]
+pub struct Gather<'a> {
+    /// Seed of the bake.
+    pub seed: u64,
+    /// All texels.
+    pub texels: &'a Texels,
+    /// Open share of the area of each texel of the map.
+    pub open: &'a [f32],
+    /// What rays meet.
+    pub visibility: &'a Visibility<'a>,
+    /// Direct light of all texels.
+    pub direct: &'a Direct,
+    /// Where direct light leaves from, of each half.
+    pub starts: &'a [StartTable; 2],
+    /// Indirect irradiance (lux) of the open part of each texel of the map, of each half.
+    pub indirect: [&'a [Vec3]; 2],
+}
+
+impl Gather<'_> {
+    /// Indirect irradiance (lux) of the open part of each of `wanted`, (texel, samples), from one half; with the
+    /// number of rays traced.
+    pub fn texels(&self, half: usize, wanted: &[(u32, u32)]) -> (Vec<Vec3>, u64) {
+        let found: Vec<(Vec3, u64)> = wanted
+            .par_iter()
+            .with_min_len(16)
+            .map_init(TexelSampler::default, |sampler, &(texel, samples)| {
+                self.texel(half, texel as usize, samples, sampler)
+            })
+            .collect();
+        let rays = found.iter().map(|f| f.1).sum();
+        (found.into_iter().map(|f| f.0).collect(), rays)
+    }
+
+    fn texel(&self, half: usize, texel: usize, samples: u32, sampler: &mut TexelSampler) -> (Vec3, u64) {
+        let world = self.visibility.world;
+        let key = hash_mix(hash_mix(self.seed, 0x6761_7468_6572), (texel as u64) << 1 | half as u64);
+        let scramble = hash_seed(&[key]);
+        let back = self.texels.texels[texel].back;
+        let lit = self.starts[half].total() > 0.0;
+        sampler.load(self.texels, texel);
+        let (mut sum, mut rays) = (Vec3::ZERO, 0);
+        for k in 0..samples {
+            let u = |d: usize| unit_f32(sobol(k, d, scramble));
+            let mut stream = Stream::new(hash_mix(key, u64::from(k)));
+            let (triangle, uv) = sampler.sample(Vec2::new(u(0), u(1)));
+            let at = Receiver::new(world, triangle, uv, back, false);
+            let direction = cosine_hemisphere(at.geometric_normal, Vec2::new(u(2), u(3)));
+            sum += self.along(half, &at, direction, &mut stream, &mut rays);
+            if lit {
+                sum += self.towards_light(half, &at, u(4), &mut stream, &mut rays);
+            }
+        }
+        let open = self.open[texel];
+        let value = if open > 0.0 { sum / (samples as f32 * open) } else { Vec3::ZERO };
+        (if value.is_finite() { value } else { Vec3::ZERO }, rays)
+    }
+
+    /// Radiosity that comes back along a cosine-distributed direction. Direct light reflected at the first
+    /// surface counts by its share of the balance heuristic.
+    fn along(&self, half: usize, at: &Receiver, direction: Vec3, stream: &mut Stream, rays: &mut u64) -> Vec3 {
+        let world = self.visibility.world;
+        let cosine = at.geometric_normal.dot(direction).max(0.0);
+        let (mut sum, mut carried) = (Vec3::ZERO, Vec3::ONE);
+        let mut ray = Ray { origin: at.origin, direction, t_max: f32::INFINITY };
+        // Distance from `at` while nothing but passing surfaces was met.
+        let mut straight = Some(0.0f32);
+        for _ in 0..MAX_SURFACES {
+            *rays += 1;
+            let Some(hit) = self.visibility.accel.closest(&ray) else { return sum };
+            let uv = Vec2::new(hit.u, hit.v);
+            let flags = world.flags[hit.triangle as usize];
+            let normal = world.normals[hit.triangle as usize];
+            let back = normal.dot(ray.direction) > 0.0;
+            let facing = if back { -normal } else { normal };
+            let reflects = !back || flags.has(SurfaceFlags::DOUBLE_SIDED);
+            let passes = flags.has(SurfaceFlags::PASSES_LIGHT);
+            if !reflects && !passes {
+                return sum;
+            }
+            let surface = world.surface(hit.triangle, uv);
+            let albedo = if reflects { surface.albedo * surface.alpha } else { Vec3::ZERO };
+            let passed =
+                if passes { Vec3::splat(1.0 - surface.alpha) + surface.transmittance * surface.alpha } else { Vec3::ZERO };
+            let texel = if reflects { self.texels.at(hit.triangle, back, uv) } else { None };
+            let mut reflected = albedo;
+            if let Some(texel) = texel {
+                let texel = texel as usize;
+                let weight = match straight {
+                    Some(gone) => {
+                        let d2 = (gone + hit.t).powi(2);
+                        let by_cosine = cosine * facing.dot(-direction).max(0.0) / (PI * d2.max(1e-20));
+                        let by_light = self.light_density(half, texel);
+                        by_cosine / (by_cosine + by_light).max(1e-30)
+                    }
+                    None => 1.0,
+                };
+                sum += carried * self.sent_directly(half, texel) * weight;
+                if texel < self.texels.mapped {
+                    sum += carried * albedo * self.indirect[half][texel];
+                    reflected = Vec3::ZERO;
+                }
+            }
+            // What has no place on the map has no light to look up: go on to where it gets its own.
+            let (r, p) = (reflected.max_element(), passed.max_element());
+            let pick = stream.unit() * (r + p).max(1.0);
+            let position = world.position(hit.triangle, uv);
+            let extent = world.extent(hit.triangle);
+            if pick < r {
+                carried *= reflected / r * (r + p).max(1.0);
+                let direction = cosine_hemisphere(facing, Vec2::new(stream.unit(), stream.unit()));
+                ray = Ray { origin: offset_origin(position, facing, extent), direction, t_max: f32::INFINITY };
+                straight = None;
+            } else if pick < r + p {
+                carried *= passed / p * (r + p).max(1.0);
+                straight = straight.map(|gone| gone + hit.t);
+                ray.origin = offset_origin(position, -facing, extent);
+            } else {
+                return sum;
+            }
+        }
+        sum
+    }
+
+    /// Irradiance from one point that sends out direct light, drawn in proportion to it; its share of the balance
+    /// heuristic.
+    fn towards_light(&self, half: usize, at: &Receiver, u: f32, stream: &mut Stream, rays: &mut u64) -> Vec3 {
+        let starts = &self.starts[half];
+        let texel = starts.pick(f64::from(u), None);
+        let slot = stream.bits() as usize % START_SLOTS;
+        let Some(start) = self.direct.start(half, texel, slot) else { return Vec3::ZERO };
+        let world = self.visibility.world;
+        let from = Receiver::new(world, start.triangle, start.uv, self.texels.texels[texel].back, false);
+        let to = from.origin - at.origin;
+        let d2 = to.length_squared();
+        if d2 < 1e-14 {
+            return Vec3::ZERO;
+        }
+        let w = to / d2.sqrt();
+        let (near, far) = (at.geometric_normal.dot(w), from.geometric_normal.dot(-w));
+        if near <= 0.0 || far <= 0.0 {
+            return Vec3::ZERO;
+        }
+        *rays += 1;
+        let passed = self.visibility.transmittance(&Ray { origin: at.origin, direction: to, t_max: 1.0 });
+        if passed == Vec3::ZERO {
+            return Vec3::ZERO;
+        }
+        let by_cosine = near * far / (PI * d2);
+        let by_light = self.light_density(half, texel);
+        let color = Vec3::from(start.color.map(|c| f32::from(c) / 65535.0));
+        passed * color * (starts.total() as f32 * by_cosine * by_light / (by_cosine + by_light))
+    }
+
+    /// Density per area with which [`towards_light`](Self::towards_light) picks points of a texel.
+    fn light_density(&self, half: usize, texel: usize) -> f32 {
+        let total = self.starts[half].total() as f32;
+        if total > 0.0 { self.direct.exitance(half, texel) / total } else { 0.0 }
+    }
+
+    /// Radiosity (lux) of direct light reflected by a texel.
+    fn sent_directly(&self, half: usize, texel: usize) -> Vec3 {
+        let exitance = self.direct.exitance(half, texel);
+        if exitance <= 0.0 {
+            return Vec3::ZERO;
+        }
+        let colors = (0..START_SLOTS).filter_map(|s| self.direct.start(half, texel, s));
+        let (sum, n) = colors.fold((Vec3::ZERO, 0.0), |(sum, n), s| {
+            (sum + Vec3::from(s.color.map(|c| f32::from(c) / 65535.0)), n + 1.0)
+        });
+        if n > 0.0 { sum * (exitance / n) } else { Vec3::ZERO }
+    }
+}

@@ -1,0 +1,105 @@
+//! Walls: what may be smoothed together, and what may not.
+//!
+//! A floor that runs on under a wall is one surface with two lights. Two points of it belong together if a short
+//! ray between them, a little above the surface, is free.
+
+use super::tree::{Element, Node, SurfaceTree};
+use crate::accel::{Accel, Ray, offset_origin};
+use rayon::prelude::*;
+use std::ops::Range;
+
+/// Height of the ray over both ends, as a share of their distance ...
+const LIFT: f32 = 0.03;
+
+/// ... and more where the surface bends: an arc of 45 degrees is an eighth of its chord high.
+const LIFT_BENT: f32 = 0.42;
+
+/// Points of a cell that are tried against each other are one in each of its descendants of this generation.
+const GENERATION: u32 = 3;
+
+/// The cells of one half: sets of elements, none of which has a wall through it.
+#[derive(Debug, Clone, Default)]
+pub struct Cells {
+    /// Elements of all cells, one after the other.
+    pub order: Vec<u32>,
+    /// Of each cell, its part of `order`.
+    pub ranges: Vec<Range<usize>>,
+}
+
+impl Cells {
+    /// Makes cells of `nodes`, cut where walls part them.
+    pub fn new(tree: &SurfaceTree, nodes: &[Node], accel: &Accel) -> Cells {
+        let parts: Vec<Vec<Vec<u32>>> = nodes.par_iter().map(|node| part(tree, node, accel)).collect();
+        let mut cells = Cells { order: Vec::with_capacity(tree.elements.len()), ranges: Vec::new() };
+        for elements in parts.into_iter().flatten() {
+            let start = cells.order.len();
+            cells.order.extend(elements);
+            cells.ranges.push(start..cells.order.len());
+        }
+        cells
+    }
+
+    /// Number of cells.
+    pub fn len(&self) -> usize {
+        self.ranges.len()
+    }
+}
+
+/// True if nothing stands between two points of a surface.
+pub fn linked(a: &Element, b: &Element, accel: &Accel) -> bool {
+    let distance = a.position.distance(b.position);
+    let lift = distance * (LIFT + LIFT_BENT * (1.0 - a.normal.dot(b.normal)).clamp(0.0, 1.0));
+    let end = |e: &Element| offset_origin(e.position, e.normal, 1.0) + e.normal * lift;
+    let (from, to) = (end(a), end(b));
+    !accel.occluded(&Ray { origin: from, direction: to - from, t_max: 1.0 })
+}
+
+/// The elements of a node, in sets that see each other, perhaps around corners.
+fn part(tree: &SurfaceTree, node: &Node, accel: &Accel) -> Vec<Vec<u32>> {
+    let all = || (node.elements.start as u32..node.elements.end as u32).collect::<Vec<u32>>();
+    let mut below = vec![node.clone()];
+    for _ in 0..GENERATION {
+        below = below.iter().flat_map(|n| tree.children(n).map_or_else(|| vec![n.clone()], |c| c.to_vec())).collect();
+    }
+    if below.len() < 2 {
+        return vec![all()];
+    }
+    let posts: Vec<&Element> = below.iter().map(|n| middle(tree, n.elements.clone())).collect();
+    let mut group: Vec<usize> = (0..posts.len()).collect();
+    for i in 0..posts.len() {
+        for j in 0..i {
+            if group[i] != group[j] && linked(posts[i], posts[j], accel) {
+                let (old, new) = (group[i].max(group[j]), group[i].min(group[j]));
+                group.iter_mut().filter(|g| **g == old).for_each(|g| *g = new);
+            }
+        }
+    }
+    if group.iter().all(|&g| g == 0) {
+        return vec![all()];
+    }
+    // One more set for what no post sees.
+    let mut sets: Vec<Vec<u32>> = vec![Vec::new(); posts.len() + 1];
+    for k in node.elements.clone() {
+        let e = &tree.elements[k];
+        let mut near: Vec<(f32, usize)> =
+            posts.iter().enumerate().map(|(i, p)| (p.position.distance_squared(e.position), i)).collect();
+        near.sort_unstable_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
+        let seen = near.iter().find(|n| linked(e, posts[n.1], accel)).map_or(posts.len(), |n| group[n.1]);
+        sets[seen].push(k as u32);
+    }
+    sets.retain(|s| !s.is_empty());
+    sets
+}
+
+/// The element nearest to the middle of a run of them.
+fn middle(tree: &SurfaceTree, range: Range<usize>) -> &Element {
+    let elements = &tree.elements[range];
+    let (mut sum, mut area) = (glam::DVec3::ZERO, 0.0);
+    for e in elements {
+        sum += f64::from(e.area) * e.position.as_dvec3();
+        area += f64::from(e.area);
+    }
+    let centre = (sum / area).as_vec3();
+    let distance = |e: &&Element| e.position.distance_squared(centre);
+    elements.iter().min_by(|a, b| distance(a).total_cmp(&distance(b))).expect("a node has elements")
+}

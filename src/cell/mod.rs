@@ -1,0 +1,65 @@
+//! 6. From photons in texels to irradiance: cells as large as the noise asks for, and planes over them.
+//!
+//! In: the flux that each texel of the map caught, in two halves. Out: its irradiance, in two halves, each made
+//! from its own photons alone, choice of cells included. Their difference then holds all of the noise, and the
+//! product of what both smooth away, their [`bias`](bias()). Meshes that photons are too slow for [`Gather`].
+
+mod bias;
+mod choose;
+mod fit;
+mod gather;
+mod links;
+mod tree;
+
+pub use bias::{Bias, bias};
+pub use gather::Gather;
+pub use tree::{Element, Node, SurfaceTree};
+
+use crate::accel::Accel;
+use choose::{choose, dispersion};
+use fit::reconstruct;
+use glam::Vec3;
+use links::Cells;
+
+/// Arriving flux of each element per channel [lux x frame units squared], in the order of the tree.
+pub type ElementFlux = Vec<[f32; 3]>;
+
+/// Irradiance of all elements in two independent halves.
+#[derive(Debug, Clone, Default)]
+pub struct Reconstruction {
+    /// Irradiance (lux) of each element, in the order of the tree.
+    pub values: [Vec<Vec3>; 2],
+    /// Nodes with no border of a cell inside, of either half: what is in one of them errs together.
+    pub blocks: Vec<Node>,
+    /// Number of cells.
+    pub cells: [usize; 2],
+}
+
+/// Elements in a block where every element is on its own.
+const RAW_BLOCK: usize = 64;
+
+impl Reconstruction {
+    /// Reconstructs both halves of `caught`, where one photon carries `photon` [lux x frame units squared].
+    pub fn new(tree: &SurfaceTree, caught: [&ElementFlux; 2], photon: f64, accel: &Accel) -> Reconstruction {
+        let dispersion = dispersion(tree, caught, photon);
+        let nodes = caught.map(|flux| choose(tree, flux, photon, dispersion));
+        let cells = [0, 1].map(|h| Cells::new(tree, &nodes[h], accel));
+        let values = [0, 1].map(|h| reconstruct(tree, &cells[h], caught[h], photon * dispersion, accel));
+        let mut starts: Vec<usize> = nodes.iter().flatten().map(|n| n.elements.start).collect();
+        starts.sort_unstable();
+        let border_inside = |n: &Node| {
+            let after = starts.partition_point(|&s| s <= n.elements.start);
+            starts.get(after).is_some_and(|&s| s < n.elements.end)
+        };
+        let blocks = tree.cut(|n| !border_inside(n));
+        Reconstruction { values, blocks, cells: cells.map(|c| c.len()) }
+    }
+
+    /// Every element by its own photons alone: unbiased, and as noisy as that.
+    pub fn raw(tree: &SurfaceTree, caught: [&ElementFlux; 2]) -> Reconstruction {
+        let values = caught
+            .map(|flux| tree.elements.iter().zip(flux).map(|(e, f)| Vec3::from(*f) / e.area).collect::<Vec<Vec3>>());
+        let blocks = tree.cut(|n| n.elements.len() <= RAW_BLOCK);
+        Reconstruction { values, blocks, cells: [tree.elements.len(); 2] }
+    }
+}

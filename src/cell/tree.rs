@@ -1,0 +1,284 @@
+//! All surface in one binary tree: texels near in place and alike in direction stand near in it.
+//!
+//! The tree knows nothing of charts. A wall cut into ten charts, a sphere of a thousand facets and a shelf of
+//! small boxes are all split the same way: first by normal, until what is left faces one way, then in the
+//! middle of the longest side, or in a gap near the middle, where no surface is.
+
+use crate::atlas::{TexelSampler, Texels};
+use crate::scene::World;
+use glam::Vec3;
+use rayon::prelude::*;
+use std::ops::Range;
+
+/// A texel as a piece of surface.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Element {
+    /// Centroid of the surface mapped to the texel [frame units].
+    pub position: Vec3,
+    /// Unit mean normal of the receiving side.
+    pub normal: Vec3,
+    /// Open surface area [frame units squared], > 0.
+    pub area: f32,
+    /// Index into [`Texels::texels`].
+    pub texel: u32,
+}
+
+/// A node with more spread of normals than this, along any axis, is split by normal: 0.7 parts the sides of a
+/// box but not the facets of a smooth shape of 40 degrees.
+const MAX_NORMAL_EXTENT: f32 = 0.7;
+
+/// Subtrees of more elements than this are worked on in parallel.
+const PARALLEL: usize = 4096;
+
+/// A binary tree over the open surface of the map, down to single texels.
+///
+/// Nodes stand in preorder. Node `n` of `k` elements has its left child, of the first `m` of them, at `n + 1` and
+/// its right child at `n + 2 m`, for a subtree of `m` elements takes `2 m - 1` nodes.
+#[derive(Debug, Clone, Default)]
+pub struct SurfaceTree {
+    /// The elements in the order of the leaves.
+    pub elements: Vec<Element>,
+    /// First element of the right child per node; its own for leaves.
+    middle: Vec<u32>,
+}
+
+/// A node and the elements under it.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Node {
+    /// Index in preorder.
+    pub index: usize,
+    /// Elements under it.
+    pub elements: Range<usize>,
+}
+
+impl SurfaceTree {
+    /// The tree over the texels of the map with open surface. `open` is the open share of each texel's area.
+    pub fn new(world: &World, texels: &Texels, open: &[f32]) -> SurfaceTree {
+        let mut elements: Vec<Element> = (0..texels.mapped)
+            .into_par_iter()
+            .map_init(TexelSampler::default, |sampler, i| {
+                let t = &texels.texels[i];
+                sampler.load(texels, i);
+                let (position, normal) = sampler.centre(world);
+                let normal = if t.back { -normal } else { normal };
+                Element { position, normal, area: t.area * open[i], texel: i as u32 }
+            })
+            .filter(|e| e.area > 0.0)
+            .collect();
+        let mut middle = vec![0; (2 * elements.len()).saturating_sub(1)];
+        if !elements.is_empty() {
+            build(&mut elements, &mut middle, 0);
+        }
+        SurfaceTree { elements, middle }
+    }
+
+    /// Number of nodes.
+    pub fn len(&self) -> usize {
+        self.middle.len()
+    }
+
+    /// True without any surface.
+    pub fn is_empty(&self) -> bool {
+        self.middle.is_empty()
+    }
+
+    /// The node over all elements; the tree must not be empty.
+    pub fn root(&self) -> Node {
+        Node { index: 0, elements: 0..self.elements.len() }
+    }
+
+    /// The two children; `None` for a single element.
+    pub fn children(&self, node: &Node) -> Option<[Node; 2]> {
+        let Range { start, end } = node.elements;
+        (end - start > 1).then(|| {
+            let middle = self.middle[node.index] as usize;
+            [
+                Node { index: node.index + 1, elements: start..middle },
+                Node { index: node.index + 2 * (middle - start), elements: middle..end },
+            ]
+        })
+    }
+
+    /// Folds the tree from its leaves up: `leaf` of an element, `join` of a node and its children's values. In
+    /// parallel, but always in the same order.
+    pub fn fold<T: Send>(
+        &self,
+        node: &Node,
+        leaf: &(impl Fn(usize) -> T + Sync),
+        join: &(impl Fn(&Node, T, T) -> T + Sync),
+    ) -> T {
+        let Some([a, b]) = self.children(node) else { return leaf(node.elements.start) };
+        let (x, y) = if node.elements.len() > PARALLEL {
+            rayon::join(|| self.fold(&a, leaf, join), || self.fold(&b, leaf, join))
+        } else {
+            (self.fold(&a, leaf, join), self.fold(&b, leaf, join))
+        };
+        join(node, x, y)
+    }
+
+    /// The topmost nodes for which `stop` holds, or single elements, in order.
+    pub fn cut(&self, stop: impl Fn(&Node) -> bool) -> Vec<Node> {
+        let mut found = Vec::new();
+        let mut open: Vec<Node> = if self.is_empty() { Vec::new() } else { vec![self.root()] };
+        while let Some(node) = open.pop() {
+            match self.children(&node) {
+                Some([a, b]) if !stop(&node) => open.extend([b, a]),
+                _ => found.push(node),
+            }
+        }
+        found
+    }
+}
+
+/// Splits `elements`, which begin at `start` of all, and writes their nodes to `middle`.
+fn build(elements: &mut [Element], middle: &mut [u32], start: u32) {
+    let n = elements.len();
+    let m = if n > 1 { partition(elements) } else { 0 };
+    middle[0] = start + m as u32;
+    if n <= 1 {
+        return;
+    }
+    let (a, b) = elements.split_at_mut(m);
+    let (left, right) = middle[1..].split_at_mut(2 * m - 1);
+    let end = start + m as u32;
+    if n > PARALLEL {
+        rayon::join(|| build(a, left, start), || build(b, right, end));
+    } else {
+        build(a, left, start);
+        build(b, right, end);
+    }
+}
+
+/// Sorts two or more elements into a first and a second part, both not empty; the length of the first.
+fn partition(elements: &mut [Element]) -> usize {
+    let (mut lo, mut hi) = ([Vec3::INFINITY; 2], [Vec3::NEG_INFINITY; 2]);
+    for e in elements.iter() {
+        lo = [lo[0].min(e.position), lo[1].min(e.normal)];
+        hi = [hi[0].max(e.position), hi[1].max(e.normal)];
+    }
+    let sizes = [hi[0] - lo[0], hi[1] - lo[1]];
+    let by_normal = sizes[1].max_element() > MAX_NORMAL_EXTENT || sizes[0].max_element() <= 0.0;
+    let which = usize::from(by_normal);
+    let axis = longest(sizes[which]);
+    let key = |e: &Element| if by_normal { e.normal[axis] } else { e.position[axis] };
+    let plane = dividing_plane(elements, lo[which][axis], hi[which][axis], key);
+    let mut m = 0;
+    for i in 0..elements.len() {
+        if key(&elements[i]) < plane {
+            elements.swap(i, m);
+            m += 1;
+        }
+    }
+    // Nothing to tell them apart by: halve them as they stand.
+    if m == 0 || m == elements.len() { elements.len() / 2 } else { m }
+}
+
+fn longest(size: Vec3) -> usize {
+    if size.x >= size.y && size.x >= size.z {
+        0
+    } else if size.y >= size.z {
+        1
+    } else {
+        2
+    }
+}
+
+/// The middle of the longest gap whose own middle lies in the middle half of `lo..hi`, the nearest to the middle
+/// of equally long ones; the middle where there is no gap. Planes never run through a sheet of surface that
+/// rounding has made uneven, for beside it there is a gap.
+fn dividing_plane(elements: &[Element], lo: f32, hi: f32, key: impl Fn(&Element) -> f32) -> f32 {
+    const SLOTS: usize = 32;
+    let scale = SLOTS as f32 / (hi - lo);
+    let mut filled = 0u32;
+    for e in elements {
+        filled |= 1 << (((key(e) - lo) * scale) as usize).min(SLOTS - 1);
+    }
+    // (length, minus the distance of its middle from the middle, its middle), in half slots.
+    let mut best = (0, i32::MIN, SLOTS as i32);
+    let mut k = 0;
+    while k < SLOTS {
+        let length = (!filled >> k).trailing_ones().min((SLOTS - k) as u32) as usize;
+        if length > 0 {
+            let middle = (2 * k + length) as i32;
+            let off = (middle - SLOTS as i32).abs();
+            if off <= SLOTS as i32 / 2 {
+                best = best.max((length as i32, -off, middle));
+            }
+        }
+        k += length.max(1);
+    }
+    lo + best.2 as f32 * 0.5 / scale
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn tree_of(mut elements: Vec<Element>) -> SurfaceTree {
+        let mut middle = vec![0; 2 * elements.len() - 1];
+        build(&mut elements, &mut middle, 0);
+        SurfaceTree { elements, middle }
+    }
+
+    fn element(texel: u32, position: Vec3, normal: Vec3) -> Element {
+        Element { position, normal, area: 1.0, texel }
+    }
+
+    #[test]
+    fn children_share_out_their_parents_elements() {
+        let grid = (0..700).map(|i| element(i, Vec3::new((i % 31) as f32, 0.0, (i / 31) as f32), Vec3::Y)).collect();
+        let tree = tree_of(grid);
+        let (mut seen, mut leaves) = (0, vec![false; 700]);
+        let mut open = vec![tree.root()];
+        while let Some(node) = open.pop() {
+            seen += 1;
+            match tree.children(&node) {
+                Some([a, b]) => {
+                    assert_eq!((a.elements.start, a.elements.end), (node.elements.start, b.elements.start));
+                    assert_eq!(b.elements.end, node.elements.end);
+                    assert!(!a.elements.is_empty() && !b.elements.is_empty());
+                    open.extend([a, b]);
+                }
+                None => leaves[tree.elements[node.elements.start].texel as usize] = true,
+            }
+        }
+        assert_eq!(seen, tree.len());
+        assert!(leaves.iter().all(|&l| l));
+        let count = tree.fold(&tree.root(), &|_| 1, &|node, a, b| {
+            assert_eq!(node.elements.len(), a + b);
+            a + b
+        });
+        assert_eq!(count, 700);
+    }
+
+    #[test]
+    fn faces_of_a_box_come_apart_first() {
+        let normals = [Vec3::X, Vec3::Y, Vec3::NEG_X, Vec3::NEG_Y];
+        let at = |i: u32| Vec3::new((i % 7) as f32, (i % 5) as f32, (i % 3) as f32);
+        // Rounding leaves normals a hair off the axes.
+        let tilt = |i: u32| Vec3::splat(1e-7 * (i % 2) as f32 - 5e-8);
+        let tree = tree_of((0..400).map(|i| element(i, at(i), normals[i as usize % 4] + tilt(i))).collect());
+        let faces = tree.cut(|node| {
+            let first = tree.elements[node.elements.start].normal;
+            tree.elements[node.elements.clone()].iter().all(|e| e.normal.dot(first) > 0.9)
+        });
+        assert_eq!(faces.len(), 4);
+    }
+
+    #[test]
+    fn a_plane_lies_in_a_gap_and_not_in_a_sheet() {
+        let at = |x: f32| element(0, Vec3::new(x, 0.0, 0.0), Vec3::Y);
+        let sheets: Vec<Element> = [0.0, 0.5 - 1e-7, 0.5 + 1e-7, 1.0].map(at).to_vec();
+        let plane = dividing_plane(&sheets, 0.0, 1.0, |e| e.position.x);
+        assert!((plane - 0.5).abs() > 0.1, "{plane}");
+        let dense: Vec<Element> = (0..1000).map(|i| at(i as f32 / 999.0)).collect();
+        assert_eq!(dividing_plane(&dense, 0.0, 1.0, |e| e.position.x), 0.5);
+    }
+
+    #[test]
+    fn what_cannot_be_told_apart_is_halved() {
+        let tree = tree_of((0..33).map(|i| element(i, Vec3::ONE, Vec3::Z)).collect());
+        assert_eq!(tree.len(), 65);
+        assert_eq!(tree.cut(|n| n.elements.len() <= 8).len(), 5);
+    }
+}

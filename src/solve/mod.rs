@@ -1,0 +1,385 @@
+//! Light until the error is under the target: rounds of direct samples and photons.
+//!
+//! In: texels, emitters, what rays meet. Out: [`Solution`], the irradiance of every texel in two halves with
+//! its error. After each round the noise of the direct and of the indirect part is known from the halves, and
+//! the next round is sized so that the target is met with the fewest rays. All decisions are made between
+//! rounds from sums in fixed order; only a time limit can make two runs differ.
+
+mod estimate;
+
+use crate::accuracy::{Halves, MeshError, Missed, Spent, TexelError, TexelWeights, cheapest_growth, plan_meshes};
+use crate::atlas::Texels;
+use crate::cell::SurfaceTree;
+use crate::error::BakeError;
+use crate::light::{Direct, Emitters, Visibility};
+use crate::observer::{Observer, Progress};
+use crate::options::{BakeOptions, Normals};
+use crate::photon::{Bins, EnergyLedger, Flux, Shooting, StartTable};
+use crate::report::HistoryEntry;
+use std::time::Instant;
+
+/// Direct samples per texel and half of the first round.
+const FIRST_SAMPLES: u32 = 4;
+
+/// Direct samples between two looks at the clock and at what they found.
+const MOST_SAMPLES_AT_ONCE: u64 = 1 << 24;
+
+/// Photons of the first round per half: 2^(12..20), by the number of texels.
+const FIRST_NET_BITS: std::ops::RangeInclusive<u32> = 12..=16;
+
+/// Nets of one round are powers of two of at least this many photons.
+const LEAST_NET_BITS: u32 = 12;
+
+/// Largest net: rounds between two looks at the clock.
+const LARGEST_NET_BITS: u32 = 21;
+
+/// A round multiplies the work so far by at most this much: forecasts from little data are poor.
+const MOST_GROWTH: f64 = 5.0;
+
+/// What rays meet and what shines: the inputs of the solution.
+#[derive(Debug, Clone, Copy)]
+pub struct LightPath<'a> {
+    /// All texels.
+    pub texels: &'a Texels,
+    /// Open share of the area of each texel of the map.
+    pub open: &'a [f32],
+    /// The surface of the map as a tree.
+    pub tree: &'a SurfaceTree,
+    /// What shines.
+    pub emitters: &'a Emitters,
+    /// What rays meet.
+    pub visibility: &'a Visibility<'a>,
+}
+
+/// Irradiance of all texels with its error.
+#[derive(Debug)]
+pub struct Solution {
+    /// Irradiance (lux) of each texel of the map.
+    pub total: Halves,
+    /// Weights of the texels that are stored.
+    pub weights: TexelWeights,
+    /// Error of the whole.
+    pub error: TexelError,
+    /// Error of each node with texels on the map.
+    pub meshes: Vec<MeshError>,
+    /// Error that 95 % of the meshes are under.
+    pub mesh_percent: f64,
+    /// Share of the area whose error is within the target.
+    pub area_within_target: f64,
+    /// Cells of each half.
+    pub cells: [usize; 2],
+    /// What the cells' planes add to or take from the light that was caught, as a share of it.
+    pub energy_change: f64,
+    /// Squared errors that direct samples, and that photons would lower.
+    squares: (f64, f64),
+    /// Meshes above their target.
+    missed: Vec<Missed>,
+    /// Which limit ended it before the targets were met.
+    pub limit: Option<&'static str>,
+    /// One entry per round.
+    pub history: Vec<HistoryEntry>,
+    /// Direct samples of all texels and both halves.
+    pub direct_samples: u64,
+    /// Shadow rays of direct light.
+    pub direct_rays: u64,
+    /// Rays that gathered indirect light, and meshes that did.
+    pub gather_rays: u64,
+    /// Meshes whose indirect light was gathered.
+    pub gathered_meshes: usize,
+    /// Where the photons' flux went.
+    pub ledger: EnergyLedger,
+    /// Flux over the three channels that met the backs of each instance's one-sided surfaces.
+    pub back_flux: Vec<i64>,
+    /// Flux of one integer step [lux x frame units squared].
+    pub unit: f64,
+    /// Seconds of direct light, photons, estimates.
+    pub seconds: [f64; 3],
+}
+
+/// Work under way.
+struct Solver<'a, 'o> {
+    path: LightPath<'a>,
+    options: &'a BakeOptions,
+    observer: &'o mut dyn Observer,
+    began: Instant,
+    weights: TexelWeights,
+    direct: Direct,
+    bins: Bins<'a>,
+    flux: Option<Flux>,
+    /// Start flux of each half, as the last round found it [lux x frame units squared].
+    start_totals: [f64; 2],
+    /// Where photons of each half started last.
+    starts: Option<[StartTable; 2]>,
+    /// Gather rays of each texel and half, per instance; 0 where photons do.
+    gathered: Vec<u32>,
+    gather_rays: u64,
+    /// Photons per half, and nets per half so far.
+    photons: u64,
+    nets: u64,
+    ledger: EnergyLedger,
+    seconds: [f64; 3],
+    history: Vec<HistoryEntry>,
+    last: Option<(f64, f64)>,
+}
+
+/// Solves until the targets of `options` are met or a limit binds. `began` is when the bake began.
+///
+/// # Errors
+/// [`BakeError::Cancelled`] when the observer says so.
+pub fn solve(
+    path: LightPath,
+    weights: TexelWeights,
+    options: &BakeOptions,
+    began: Instant,
+    observer: &mut dyn Observer,
+) -> Result<Solution, BakeError> {
+    let mut solver = Solver {
+        path,
+        options,
+        observer,
+        began,
+        weights,
+        direct: Direct::new(path.texels.texels.len()),
+        bins: Bins::new(path.visibility.world, path.texels),
+        flux: None,
+        start_totals: [0.0; 2],
+        starts: None,
+        gathered: vec![0; path.visibility.world.scene.instances.len()],
+        gather_rays: 0,
+        photons: 0,
+        nets: 0,
+        ledger: EnergyLedger::default(),
+        seconds: [0.0; 3],
+        history: Vec::new(),
+        last: None,
+    };
+    solver.run()
+}
+
+/// Work for the next round.
+#[derive(Debug, Clone, Default)]
+struct Round {
+    /// Direct samples of all texels and both halves; the first round takes the same number everywhere.
+    samples: u64,
+    /// Photons per half.
+    photons: u64,
+    /// (instance, gather rays of each texel and half) from now on.
+    gather: Vec<(usize, u32)>,
+}
+
+impl Solver<'_, '_> {
+    fn run(&mut self) -> Result<Solution, BakeError> {
+        let bits = (self.path.texels.texels.len().max(1).ilog2()).clamp(*FIRST_NET_BITS.start(), *FIRST_NET_BITS.end());
+        let mut round = Round { samples: 1, photons: 1 << bits, gather: Vec::new() };
+        loop {
+            let stopped = self.trace(&round)?;
+            let started = Instant::now();
+            let mut solution = self.solution();
+            self.seconds[2] += started.elapsed().as_secs_f64();
+            let wish = self.wish(&solution);
+            let rays = self.rays();
+            let forecast_rays = rays as f64 + wish.as_ref().map_or(0.0, |r| self.cost(r));
+            self.history.push(HistoryEntry {
+                direct_samples: self.direct.samples(),
+                photons: self.photons * 2,
+                rays,
+                percent: solution.error.percent,
+                high: solution.error.high,
+                forecast_rays,
+            });
+            self.last = Some((solution.error.high, forecast_rays));
+            self.report_progress()?;
+            let done = wish.is_none();
+            match wish.and_then(|r| self.bounded(r)).filter(|_| stopped.is_none()) {
+                Some(next) => round = next,
+                None => {
+                    solution.limit = if done { None } else { stopped.or(Some(self.exhausted())) };
+                    solution.history = std::mem::take(&mut self.history);
+                    solution.seconds = self.seconds;
+                    return Ok(solution);
+                }
+            }
+        }
+    }
+
+    /// Traces one round; the name of the limit that ended it early.
+    fn trace(&mut self, round: &Round) -> Result<Option<&'static str>, BakeError> {
+        let smooth = self.options.normals == Normals::Smooth;
+        let LightPath { texels, emitters, visibility, .. } = self.path;
+        let mut left = round.samples;
+        while left > 0 {
+            let started = Instant::now();
+            let budget = left.min(MOST_SAMPLES_AT_ONCE);
+            if self.direct.samples() == 0 {
+                self.direct.extend_all(FIRST_SAMPLES, self.options.seed, smooth, texels, (emitters, visibility));
+                left = 0;
+            } else {
+                let more = self.direct.allocate(budget, texels);
+                let counts = |half: usize, texel: usize| more[half][texel];
+                self.direct.extend(&counts, self.options.seed, smooth, texels, (emitters, visibility));
+                left -= budget;
+            }
+            self.seconds[0] += started.elapsed().as_secs_f64();
+            self.report_progress()?;
+            if left > 0 && self.out_of_time() {
+                return Ok(Some("time-limit"));
+            }
+        }
+        let started = Instant::now();
+        let starts = [0, 1].map(|h| StartTable::new(self.path.texels, &self.direct, h));
+        let total = starts[0].total().max(starts[1].total());
+        if total <= 0.0 {
+            return Ok(None);
+        }
+        self.start_totals = [0, 1].map(|h| starts[h].total());
+        if self.flux.is_some_and(|f| !f.holds(total)) {
+            // The first direct samples missed nearly all of the light: so did the photons they started.
+            self.flux = None;
+            self.bins = Bins::new(visibility.world, texels);
+            self.ledger = EnergyLedger::default();
+            self.photons = 0;
+        }
+        let flux = *self.flux.get_or_insert_with(|| Flux::for_total(total));
+        let shooting = Shooting {
+            seed: self.options.seed,
+            flux,
+            starts: &starts,
+            direct: &self.direct,
+            texels: self.path.texels,
+            visibility: self.path.visibility,
+        };
+        let mut left = round.photons;
+        let mut limit = None;
+        while left > 0 {
+            // The smallest net is shot whatever the limit: without any, indirect light would be black.
+            let most = self.options.max_photons.map_or(u64::MAX, |m| (m / 2).max(1 << LEAST_NET_BITS));
+            let allowed = most.saturating_sub(self.photons);
+            if allowed < 1 << LEAST_NET_BITS {
+                limit = Some("max-photons");
+                break;
+            }
+            let bits = left.min(allowed).ilog2().clamp(LEAST_NET_BITS, LARGEST_NET_BITS);
+            for half in 0..2 {
+                // A half whose direct samples found no light sends out nothing, but its photons count.
+                if shooting.starts[half].total() > 0.0 {
+                    self.ledger += &shooting.net(half, self.nets, bits, &self.bins);
+                }
+            }
+            self.nets += 1;
+            self.photons += 1 << bits;
+            left = left.saturating_sub(1 << bits);
+            let elapsed = self.began.elapsed().as_secs_f64();
+            if left > 0 && self.options.time_limit.is_some_and(|t| elapsed > t) {
+                limit = Some("time-limit");
+                break;
+            }
+            let progress = progress(
+                self.began,
+                self.options,
+                self.direct.rays() + self.ledger.rays,
+                self.last,
+                self.seconds[0] + self.seconds[1] + started.elapsed().as_secs_f64(),
+            );
+            self.observer.progress(&progress);
+            if self.observer.cancelled() {
+                return Err(BakeError::Cancelled);
+            }
+        }
+        self.starts = Some(starts);
+        self.seconds[1] += started.elapsed().as_secs_f64();
+        if limit.is_none() && self.out_of_time() {
+            limit = Some("time-limit");
+        }
+        Ok(limit)
+    }
+
+    fn out_of_time(&self) -> bool {
+        self.options.time_limit.is_some_and(|t| self.began.elapsed().as_secs_f64() > t)
+    }
+
+    fn rays(&self) -> u64 {
+        self.direct.rays() + self.ledger.rays + self.gather_rays
+    }
+
+    fn report_progress(&mut self) -> Result<(), BakeError> {
+        let p = progress(self.began, self.options, self.rays(), self.last, self.seconds[0] + self.seconds[1]);
+        self.observer.progress(&p);
+        if self.observer.cancelled() { Err(BakeError::Cancelled) } else { Ok(()) }
+    }
+
+    /// Rays that a round takes.
+    fn cost(&self, round: &Round) -> f64 {
+        let per_sample = self.direct.rays().max(1) as f64 / self.direct.samples().max(1) as f64;
+        let per_photon = self.ledger.rays.max(1) as f64 / self.photons.max(1) as f64;
+        let texels = |instance: usize| self.weights.instance.iter().filter(|&&i| i as usize == instance).count();
+        let gather: f64 = round.gather.iter().map(|&(i, n)| 4.0 * f64::from(n) * texels(i) as f64).sum();
+        per_sample * round.samples as f64 + per_photon * round.photons as f64 + gather
+    }
+
+    /// The least work that meets the targets by what is known; `None` where they are met.
+    fn wish(&self, s: &Solution) -> Option<Round> {
+        let (target, mesh_target) = (self.options.target_percent, self.options.mesh_target());
+        if s.error.high <= target && s.mesh_percent <= mesh_target {
+            return None;
+        }
+        let spent = Spent {
+            direct: s.squares.0,
+            indirect: s.squares.1,
+            direct_rays: self.direct.rays().max(1) as f64,
+            photon_rays: self.ledger.rays.max(1) as f64,
+        };
+        let (x, y) = cheapest_growth(&spent, (s.error.high / target).powi(2));
+        let mut round = Round { samples: 0, photons: 0, gather: Vec::new() };
+        let (mut direct, mut photons) = (x, y);
+        if s.mesh_percent > mesh_target {
+            let spared = s.meshes.len() / 20;
+            let plan = plan_meshes(&s.missed, spared, mesh_target / 100.0, spent.photon_rays * y);
+            direct = direct.max(plan.direct);
+            photons *= plan.photons;
+            round.gather = plan.gather;
+        }
+        if self.flux.is_none() {
+            photons = 1.0;
+        }
+        round.samples = (self.direct.samples() as f64 * (direct - 1.0)).ceil().min(1e18) as u64;
+        round.photons = (self.photons as f64 * (photons - 1.0)).ceil().min(1e18) as u64;
+        Some(round)
+    }
+
+    /// `wish`, bounded in growth; `None` where no work is left that would help. Notes which meshes gather.
+    fn bounded(&mut self, mut wish: Round) -> Option<Round> {
+        let most = |n: u64| (n as f64 * (MOST_GROWTH - 1.0)) as u64;
+        wish.samples = wish.samples.min(most(self.direct.samples()));
+        wish.photons = wish.photons.min(most(self.photons)).next_multiple_of(1 << LEAST_NET_BITS);
+        // The cheapest meshes first, for about as many rays as the rest of the round may take.
+        let allowed = most(self.rays()) as f64;
+        let only = |g: &(usize, u32)| Round { gather: vec![*g], ..Round::default() };
+        let mut costs: Vec<(f64, (usize, u32))> = wish.gather.iter().map(|g| (self.cost(&only(g)), *g)).collect();
+        costs.sort_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
+        let mut sum = 0.0;
+        let affordable = costs.into_iter().take_while(|c| {
+            sum += c.0;
+            sum <= allowed
+        });
+        wish.gather = affordable.map(|c| c.1).collect();
+        wish.gather.iter().for_each(|&(instance, rays)| self.gathered[instance] = rays);
+        (wish.samples > 0 || wish.photons > 0 || !wish.gather.is_empty()).then_some(wish)
+    }
+
+    fn exhausted(&self) -> &'static str {
+        if self.options.max_photons.is_some() { "max-photons" } else { "samples" }
+    }
+}
+
+fn progress(began: Instant, options: &BakeOptions, rays: u64, last: Option<(f64, f64)>, tracing: f64) -> Progress {
+    let rate = if tracing > 0.0 { rays as f64 / tracing } else { 0.0 };
+    let remaining = last.filter(|_| rate > 0.0).map(|(_, forecast)| (forecast - rays as f64).max(0.0) / rate);
+    Progress {
+        percent: last.map_or(f64::INFINITY, |l| l.0),
+        target: options.target_percent,
+        rays,
+        rays_per_second: rate,
+        elapsed: began.elapsed().as_secs_f64(),
+        remaining,
+    }
+}
