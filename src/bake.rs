@@ -59,18 +59,22 @@ fn bake_here<'s>(scene: &'s Scene, options: &BakeOptions, observer: &mut dyn Obs
     let atlas = atlas::build(scene, options, &|| observer.cancelled())?;
     seconds.atlas = clock.lap();
 
+    let go_on = |observer: &dyn Observer| if observer.cancelled() { Err(BakeError::Cancelled) } else { Ok(()) };
     observer.stage(Stage::Prepare);
     atlas::check_memory(scene, &atlas, options.memory_limit)?;
     let world = World::new(scene);
     let texels = Texels::new(&world, &atlas);
     seconds.texels = clock.lap();
+    go_on(observer)?;
     let accel = Accel::build(&world.positions, |t| world.flags[t as usize].has(SurfaceFlags::UNSEEN));
     seconds.accel = clock.lap();
+    go_on(observer)?;
     let visibility = Visibility::new(&world, &accel);
     let emitters =
         Emitters::new(&world, &lighting, LightSettings { indirect_only: options.lights == Lights::Indirect });
     let (open, probe_rays) = open_shares(&texels, &visibility, options.seed);
     seconds.open = clock.lap();
+    go_on(observer)?;
 
     observer.stage(Stage::Light);
     let weights = match options.texel_value {

@@ -11,7 +11,8 @@ pub struct BakeOptions {
     pub target_percent: f64,
     /// Target per mesh, which 95 % of the meshes must meet. Unit: percent. Default: 3 times `target_percent`.
     pub target_mesh_percent: Option<f64>,
-    /// End after this time with what is there. Unit: seconds. Default: none.
+    /// End after this time with what is there. Half of it is for the lightmap UVs: what is not unwrapped by then is
+    /// flattened plane by plane, in more charts, so that light is traced in any case. Unit: seconds. Default: none.
     pub time_limit: Option<f64>,
     /// End after this many photons with what is there. Default: none.
     pub max_photons: Option<u64>,

@@ -11,6 +11,7 @@ use evenlight::{BakeError, Warning};
 use glam::{DAffine3, DMat3, DVec2, DVec3, Vec2, Vec3};
 use std::collections::HashMap;
 use std::f64::consts::TAU;
+use std::time::{Duration, Instant};
 
 // ---------------------------------------------------------------------------------------------------------
 // Scenes
@@ -430,8 +431,42 @@ fn what_is_larger_than_a_page_is_scaled_down() {
 fn more_charts_than_texels_is_a_clear_error() {
     let scene = single(triangle_soup(5000));
     let options = BakeOptions { max_pages: 1, ..options(128) };
+    let start = Instant::now();
     let error = build(&scene, &options, &|| false).expect_err("they cannot fit").to_string();
+    assert!(start.elapsed() < Duration::from_secs(5), "it took {:?} to say so", start.elapsed());
     assert!(error.contains("--max-texture"), "{error}");
+}
+
+/// 60,000 triangles on 16,384 texels. Six cones of 60 degrees would cover a sphere, greedy ones take more.
+#[test]
+fn what_is_finer_than_its_texels_is_projected() {
+    let scene = single(sphere(122));
+    let options = options(128);
+    let atlas = atlas(&scene, &options);
+    assert!(verify(&scene, &atlas, &options) > 0.45);
+    verify_complete(&scene, &atlas, 2.5);
+    assert!(atlas.first_chart[1] <= 12, "{} charts", atlas.first_chart[1]);
+}
+
+#[test]
+fn a_time_limit_ends_the_unwrapping_but_not_the_bake() {
+    let scene = single(joined([sphere(40), box_soup(60)]));
+    let options = BakeOptions { time_limit: Some(1e-6), ..options(1024) };
+    let atlas = atlas(&scene, &options);
+    assert!(has(&atlas.warnings, "unwrap-time-limit"), "{:?}", atlas.warnings);
+    assert!(verify(&scene, &atlas, &options) > 0.3);
+    verify_complete(&scene, &atlas, 10.0);
+}
+
+#[test]
+fn whoever_cancels_gets_no_atlas() {
+    let scene = single(joined([sphere(40), box_soup(60)]));
+    for after in [0, 1, 3] {
+        let asked = std::sync::atomic::AtomicU32::new(0);
+        let cancelled = || asked.fetch_add(1, std::sync::atomic::Ordering::Relaxed) >= after;
+        let answer = build(&scene, &options(512), &cancelled);
+        assert!(matches!(answer, Err(BakeError::Cancelled)), "after {after} questions: {answer:?}");
+    }
 }
 
 #[test]
@@ -500,7 +535,7 @@ fn a_worker_that_hangs_or_lies_is_worked_around() {
     let mesh =
         UnwrapInput { positions: vec![Vec3::ZERO, Vec3::X, Vec3::Y], triangles: vec![[0, 1, 2]], groups: vec![0] };
     let ask = |program: &str, seconds| {
-        let limits = Limits { time: std::time::Duration::from_secs(seconds), cancelled: &|| false };
+        let limits = Limits { time: Duration::from_secs(seconds), deadline: None, cancelled: &|| false };
         XatlasWorker::new(program.into()).unwrap(&mesh, limits)
     };
     assert!(matches!(ask("/nowhere/evenlight", 1), Err(UnwrapError::Unavailable(_))));
@@ -540,8 +575,9 @@ fn every_failure_of_an_unwrapper_is_worked_around() {
         positions: positions.iter().map(|p| p.as_dvec3()).collect(),
         triangles,
         groups: vec![0; count],
+        texels_per_metre: f64::INFINITY,
     };
-    let limits = Limits { time: std::time::Duration::from_secs(9), cancelled: &|| false };
+    let limits = Limits { time: Duration::from_secs(9), deadline: None, cancelled: &|| false };
     let (unwrapped, warnings) = unwrap::unwrap_mesh(&mesh, &Unreliable, limits).expect("a way around");
     assert!(has(&warnings, "unwrapper-timed-out") && has(&warnings, "unwrapper-faulty"), "{warnings:?}");
     let mut charts = vec![vec![]; unwrapped.chart_count as usize];
@@ -577,7 +613,7 @@ fn real_scenes_are_laid_out() {
         let Some(path) = shared(name) else { continue };
         let scene = Scene::from_gltf(&path).unwrap_or_else(|e| panic!("{e}"));
         let options = options(2048);
-        let start = std::time::Instant::now();
+        let start = Instant::now();
         let atlas = atlas(&scene, &options);
         let took = start.elapsed();
         let share = verify(&scene, &atlas, &options);
@@ -647,7 +683,7 @@ fn measure() {
         let scene = single(mesh);
         for side in [2048, 4096] {
             let options = options(side);
-            let start = std::time::Instant::now();
+            let start = Instant::now();
             let atlas = atlas(&scene, &options);
             let took = start.elapsed();
             let share = verify(&scene, &atlas, &options);
@@ -667,7 +703,7 @@ fn measure() {
         .iter()
         .map(|t| t.map(|v| positions[v as usize]).map(|p| DVec2::new(f64::from(p.x), f64::from(p.z))))
         .collect();
-    let start = std::time::Instant::now();
+    let start = Instant::now();
     assert_eq!(check::find_overlaps(&plane, 1e-6, 1), []);
     println!("check of {} triangles: {:.2?}", plane.len(), start.elapsed());
 }

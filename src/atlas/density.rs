@@ -11,6 +11,7 @@ use crate::error::BakeError;
 use crate::options::{BakeOptions, Density};
 use glam::DVec2;
 use rayon::prelude::*;
+use std::time::Instant;
 
 /// Charts that share a layout: those of one mesh.
 #[derive(Debug)]
@@ -102,27 +103,26 @@ pub(super) struct Rectangle {
     pub size: [u32; 2],
 }
 
-/// Packs `units` as `options` ask (`density`, `max_texture`, `max_pages`, `gutter`, which must be valid).
+/// Packs `units` as `options` ask (`density`, `max_texture`, `max_pages`, `gutter`, which must be valid). After
+/// `deadline` an automatic density is taken as soon as it fits.
 ///
 /// # Errors
 /// [`BakeError::Limit`] where the pages do not suffice, [`BakeError::Cancelled`].
 pub(super) fn lay_out(
     units: &[Unit],
     options: &BakeOptions,
+    deadline: Option<Instant>,
     cancelled: &(dyn Fn() -> bool + Sync),
 ) -> Result<Layout, BakeError> {
+    let late = || deadline.is_some_and(|d| Instant::now() >= d);
     let packer = Packer { units, exact: exact_charts(units), gutter: options.gutter.div_ceil(2) };
     let side = options.max_texture;
-    let texels = f64::from(side) * f64::from(side);
-    let area: f64 = units
-        .iter()
-        .map(|u| {
-            let charts: f64 = u.charts.iter().map(|c| c.area).sum();
-            let copies: f64 = if u.instances.is_empty() { 1.0 } else { u.instances.iter().map(|k| k * k).sum() };
-            charts * u.density * u.density * copies
-        })
-        .sum();
-    let full = (texels / area.max(f64::MIN_POSITIVE)).sqrt().min(1e12);
+    let area = |u: &Unit| u.charts.iter().map(|c| c.area).sum();
+    let full = full_density(units.iter().map(|u| (u, area(u))), side);
+    let room = packer.most_charts(side);
+    if let Some(u) = units.iter().position(|u| u.charts.len() as u64 > room) {
+        return Err(refused(NoFit::Unit(u), units, options));
+    }
     let try_pages = |density: f64, side: u32, pages: u32| {
         if cancelled() { Err(NoFit::Cancelled) } else { packer.pack(density, side, pages) }
     };
@@ -135,32 +135,43 @@ pub(super) fn lay_out(
         Density::Auto => (1..=options.max_pages)
             .find_map(|pages| {
                 let full = full * f64::from(pages).sqrt();
-                search(full, &|density| try_pages(density, side, pages).ok())
+                search(full, &late, &|density| try_pages(density, side, pages).ok())
             })
             // So many charts that their gutters fill the pages: as dense as one texel each allows.
             .map_or_else(|| try_pages(full * 1e-3, side, options.max_pages), Ok),
     };
-    found.map_err(|e| {
-        if cancelled() {
-            return BakeError::Cancelled;
-        }
-        let page = format!("{side} x {side} texels");
-        let charts: usize = units.iter().map(|u| u.charts.len() * u.instances.len().max(1)).sum();
-        match e {
-            NoFit::Unit(u) => BakeError::Limit {
-                what: "the lightmap of one mesh",
-                asked: format!("more than a page for the {} charts of {}", units[u].charts.len(), units[u].name),
-                allowed: format!("one page of {page}"),
-                cure: "raise --max-texture, lower --gutter, or split the mesh".into(),
-            },
-            NoFit::Pages | NoFit::Cancelled => BakeError::Limit {
-                what: "the lightmap atlas",
-                asked: format!("more than {} pages of {page} for {charts} charts", options.max_pages),
-                allowed: format!("{} pages", options.max_pages),
-                cure: "lower --density or --gutter, raise --max-texture or --max-pages, or exclude nodes".into(),
-            },
-        }
-    })
+    found.map_err(|e| if cancelled() { BakeError::Cancelled } else { refused(e, units, options) })
+}
+
+fn refused(why: NoFit, units: &[Unit], options: &BakeOptions) -> BakeError {
+    let page = format!("{0} x {0} texels", options.max_texture);
+    let charts: usize = units.iter().map(|u| u.charts.len() * u.instances.len().max(1)).sum();
+    match why {
+        NoFit::Unit(u) => BakeError::Limit {
+            what: "the lightmap of one mesh",
+            asked: format!("more than a page for the {} charts of {}", units[u].charts.len(), units[u].name),
+            allowed: format!("one page of {page}"),
+            cure: "raise --max-texture, lower --gutter, or split the mesh".into(),
+        },
+        NoFit::Pages | NoFit::Cancelled => BakeError::Limit {
+            what: "the lightmap atlas",
+            asked: format!("more than {} pages of {page} for {charts} charts", options.max_pages),
+            allowed: format!("{} pages", options.max_pages),
+            cure: "lower --density or --gutter, raise --max-texture or --max-pages, or exclude nodes".into(),
+        },
+    }
+}
+
+/// Texels per metre for a unit of density 1 at which the given areas [m2] of the units' charts would tile a page of
+/// `side` squared without gaps.
+pub(super) fn full_density<'u>(units: impl Iterator<Item = (&'u Unit, f64)>, side: u32) -> f64 {
+    let area: f64 = units
+        .map(|(u, area)| {
+            let copies: f64 = if u.instances.is_empty() { 1.0 } else { u.instances.iter().map(|k| k * k).sum() };
+            area * u.density * u.density * copies
+        })
+        .sum();
+    (f64::from(side) / area.max(f64::MIN_POSITIVE).sqrt()).min(1e12)
 }
 
 /// Share of the density at full use of a page below which more pages are taken instead: surface then has only
@@ -169,7 +180,7 @@ const LEAST_SHARE: f64 = 0.25;
 
 /// The highest density found at which `fit` succeeds, looked for between [`LEAST_SHARE`] of `full` and a little
 /// above `full`, at which charts would have to tile the pages without gaps. Two densities are tried at a time.
-fn search(full: f64, fit: &(dyn Fn(f64) -> Option<Layout> + Sync)) -> Option<Layout> {
+fn search(full: f64, late: &dyn Fn() -> bool, fit: &(dyn Fn(f64) -> Option<Layout> + Sync)) -> Option<Layout> {
     let (mut low, mut high) = (0.64, 0.84);
     let mut ceiling = 1.02;
     let mut best = loop {
@@ -188,6 +199,9 @@ fn search(full: f64, fit: &(dyn Fn(f64) -> Option<Layout> + Sync)) -> Option<Lay
         }
     };
     for _ in 0..3 {
+        if late() {
+            break;
+        }
         let floor = best.density / full;
         let third = (ceiling - floor) / 3.0;
         let (a, b) = (floor + third, floor + 2.0 * third);
@@ -262,6 +276,12 @@ struct Group<'a> {
 }
 
 impl Packer<'_> {
+    /// How many charts of one texel fit on a page of `side` squared.
+    fn most_charts(&self, side: u32) -> u64 {
+        let cell = side.div_ceil(MAX_CELLS);
+        u64::from(side / cell / (1 + 2 * self.gutter).div_ceil(cell)).pow(2)
+    }
+
     /// Everything at `density` [texels/m] on at most `max_pages` pages of `side` squared.
     fn pack(&self, density: f64, side: u32, max_pages: u32) -> Result<Layout, NoFit> {
         let cell = side.div_ceil(MAX_CELLS);

@@ -1,7 +1,7 @@
 //! From a scene to an atlas: choose, unwrap, pack, write down.
 
-use super::chart::{Chart, charts_of};
-use super::density::{Layout, Unit, UnitLayout, lay_out};
+use super::chart::charts_of;
+use super::density::{Layout, Unit, UnitLayout, full_density, lay_out};
 use super::select::baked_instances;
 use super::unwrap::{IGNORED, JoinedMesh, Limits, UnwrapError, Unwrapped, Unwrapper, default_time_limit, unwrap_mesh};
 use super::uvunwrap::Uvunwrap;
@@ -12,6 +12,7 @@ use crate::options::{self, BakeOptions, Density, UvSource};
 use crate::scene::{Instance, Mesh, Scene};
 use glam::{DMat3, DVec2, Vec2};
 use rayon::prelude::*;
+use std::time::{Duration, Instant};
 
 /// Page sizes for which the layout is made [texels]. Above, f32 texel coordinates lose too many digits.
 const PAGE_SIZES: std::ops::RangeInclusive<u32> = 16..=16384;
@@ -23,7 +24,10 @@ const LEAST_INSTANCE: f64 = 0.125;
 /// Lays out the lightmaps of `scene`: every triangle with an area of every baked instance gets a chart, unless
 /// its material is unlit. `cancelled` is asked now and then, from any thread.
 ///
-/// The result does not depend on the number of threads, unless an unwrapper runs into its time limit.
+/// Where `options` limit the time, half of it, from this call on, is for the layout: what the unwrapper has not
+/// reached then is flattened by projection, and the density is not refined any further.
+///
+/// The result does not depend on the number of threads, unless a time limit binds.
 ///
 /// # Errors
 /// [`BakeError::Options`] for an option out of range or an unknown node name, [`BakeError::Nothing`] where no
@@ -72,6 +76,9 @@ fn generate(
     baked: &[bool],
     cancelled: &(dyn Fn() -> bool + Sync),
 ) -> Result<Atlas, BakeError> {
+    // Half of the time belongs to the light.
+    let deadline =
+        options.time_limit.and_then(|s| Instant::now().checked_add(Duration::try_from_secs_f64(0.5 * s).ok()?));
     let mut warnings = Vec::new();
     let densities = instance_densities(scene, baked, &mut warnings);
     let mut shared: Vec<Shared> = Vec::new();
@@ -83,12 +90,13 @@ fn generate(
         });
         shared[s].instances.push(i);
     }
-    let unwrapped = unwrap_all(scene, options, &shared, cancelled)?;
-    let mut units = Vec::with_capacity(shared.len());
+    let mut units: Vec<Unit> = shared.iter().map(|s| unit(scene, s, &densities)).collect();
+    let joined = joined_meshes(scene, &shared, &units, options);
+    let unwrapped = unwrap_all(&joined, options, deadline, cancelled)?;
     let mut meshes = Vec::with_capacity(shared.len());
-    for (s, (unwrapped, found)) in shared.iter().zip(unwrapped) {
+    for (unit, (unwrapped, found)) in units.iter_mut().zip(unwrapped) {
         warnings.extend(found);
-        units.push(unit(scene, s, charts_of(&unwrapped), &densities));
+        unit.charts = charts_of(&unwrapped);
         meshes.push(unwrapped);
     }
     if units.iter().all(|u| u.charts.is_empty()) {
@@ -97,7 +105,7 @@ fn generate(
             scene.name
         )));
     }
-    let layout = lay_out(&units, options, cancelled)?;
+    let layout = lay_out(&units, options, deadline, cancelled)?;
     warn_of_scaling(&units, &layout, &mut warnings);
     let mut atlas = Atlas {
         pages: layout.pages.clone(),
@@ -166,10 +174,33 @@ fn largest_scale(scene: &Scene, s: &Shared) -> f64 {
     if largest > 0.0 { largest } else { 1.0 }
 }
 
+/// The meshes to unwrap, in metres, and the texels that they can get.
+fn joined_meshes(scene: &Scene, shared: &[Shared], units: &[Unit], options: &BakeOptions) -> Vec<JoinedMesh> {
+    let mut meshes: Vec<JoinedMesh> = shared
+        .par_iter()
+        .map(|s| {
+            let metres = match s.instances[..] {
+                [only] => scene.instances[only].world_from_object.matrix3,
+                _ => DMat3::from_diagonal(glam::DVec3::splat(largest_scale(scene, s))),
+            };
+            joined(scene, &scene.meshes[s.mesh], metres)
+        })
+        .collect();
+    let density = match options.density {
+        Density::TexelsPerMetre(density) => density,
+        Density::Auto => {
+            let areas: Vec<f64> = meshes.par_iter().map(JoinedMesh::area).collect();
+            full_density(units.iter().zip(areas), options.max_texture)
+        }
+    };
+    meshes.iter_mut().zip(units).for_each(|(m, u)| m.texels_per_metre = density * u.density);
+    meshes
+}
+
 fn unwrap_all(
-    scene: &Scene,
+    meshes: &[JoinedMesh],
     options: &BakeOptions,
-    shared: &[Shared],
+    deadline: Option<Instant>,
     cancelled: &(dyn Fn() -> bool + Sync),
 ) -> Result<Vec<(Unwrapped, Vec<Warning>)>, BakeError> {
     let backend: Box<dyn Unwrapper> = match &options.unwrapper {
@@ -177,23 +208,14 @@ fn unwrap_all(
         options::Unwrapper::Xatlas { worker } => Box::new(XatlasWorker::new(worker.clone())),
     };
     // Meshes share the cores, so the clock of each runs for all.
-    let triangles = shared.iter().map(|s| scene.meshes[s.mesh].triangle_count()).sum();
-    let limits = Limits { time: default_time_limit(triangles), cancelled };
-    shared
-        .par_iter()
-        .map(|s| {
-            let mesh = &scene.meshes[s.mesh];
-            let metres = match s.instances[..] {
-                [only] => scene.instances[only].world_from_object.matrix3,
-                _ => DMat3::from_diagonal(glam::DVec3::splat(largest_scale(scene, s))),
-            };
-            unwrap_mesh(&joined(scene, mesh, metres), backend.as_ref(), limits)
-        })
-        .collect::<Result<Vec<_>, _>>()
-        .map_err(|e| match e {
+    let triangles = meshes.iter().map(|m| m.triangles.len()).sum();
+    let limits = Limits { time: default_time_limit(triangles), deadline, cancelled };
+    meshes.par_iter().map(|mesh| unwrap_mesh(mesh, backend.as_ref(), limits)).collect::<Result<Vec<_>, _>>().map_err(
+        |e| match e {
             UnwrapError::Cancelled => BakeError::Cancelled,
             e => BakeError::Options(e.to_string()),
-        })
+        },
+    )
 }
 
 /// All primitives of a mesh in metres. Face groups keep apart what is shaded differently: the two sides of a
@@ -211,17 +233,18 @@ fn joined(scene: &Scene, mesh: &Mesh, metres: DMat3) -> JoinedMesh {
     joined
 }
 
-fn unit(scene: &Scene, s: &Shared, charts: Vec<Chart>, densities: &[f64]) -> Unit {
+/// What is known of a unit before its mesh has charts.
+fn unit(scene: &Scene, s: &Shared, densities: &[f64]) -> Unit {
     if let [only] = s.instances[..] {
         let name = format!("node {}", scene.instances[only].name);
-        return Unit { name, charts, density: densities[only], instances: Vec::new() };
+        return Unit { name, charts: Vec::new(), density: densities[only], instances: Vec::new() };
     }
     let sizes: Vec<f64> = s.instances.iter().map(|&i| scale_of(&scene.instances[i]) * densities[i]).collect();
     let largest = sizes.iter().copied().fold(0.0, f64::max);
     let largest = if largest > 0.0 { largest } else { 1.0 };
     let instances = sizes.iter().map(|s| (s / largest).max(LEAST_INSTANCE)).collect();
     let name = format!("mesh {}", scene.meshes[s.mesh].name);
-    Unit { name, charts, density: largest / largest_scale(scene, s), instances }
+    Unit { name, charts: Vec::new(), density: largest / largest_scale(scene, s), instances }
 }
 
 /// Loss of density below which nobody is warned: charts are rounded to whole texels anyway.

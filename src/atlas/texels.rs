@@ -70,6 +70,7 @@ pub struct Texels {
     front: Vec<u32>,
     back: Vec<u32>,
     page_base: Vec<u32>,
+    mapped_cells: u32,
     page_width: Vec<u32>,
 }
 
@@ -81,6 +82,12 @@ struct Fragment {
     area: f32,
     coverage: f32,
 }
+
+/// Rows of a triangle that are clipped together. Sums over a triangle run block by block, on any number of threads.
+const ROWS: usize = 64;
+
+/// Triangles that are clipped together.
+const TRIANGLES: usize = 128;
 
 /// Cells per transport triangle at most; larger ones get coarser cells.
 const MAX_TRANSPORT_CELLS: f64 = 4096.0;
@@ -95,12 +102,12 @@ impl Texels {
             out.page_width.push(page.width);
             cells += page.width * page.height;
         }
-        let mapped_cells = cells;
+        out.mapped_cells = cells;
         out.triangles = place_triangles(world, atlas, &out.page_base, &mut cells);
 
         let chunks: Vec<Vec<Fragment>> = (0..world.len())
             .into_par_iter()
-            .chunks(1024)
+            .chunks(TRIANGLES)
             .map(|ids| {
                 let mut fragments = Vec::new();
                 for id in ids {
@@ -115,7 +122,7 @@ impl Texels {
 
         let double_sided = |f: &Fragment| world.flags[f.triangle as usize].has(SurfaceFlags::DOUBLE_SIDED);
         let any_double = fragments.par_iter().any(double_sided);
-        out.collect(world, atlas, &fragments, mapped_cells, cells as usize, any_double);
+        out.collect(world, atlas, &fragments, cells as usize, any_double);
         out
     }
 
@@ -143,6 +150,19 @@ impl Texels {
         let page = self.page_base.partition_point(|&b| b <= cell) - 1;
         let local = cell - self.page_base[page];
         (page, local % self.page_width[page], local / self.page_width[page])
+    }
+
+    /// The texels of the same side at the eight cells around a texel on the map.
+    pub fn around(&self, texel: usize) -> impl Iterator<Item = usize> + '_ {
+        let (page, x, y) = self.page_position(texel);
+        let (base, width) = (self.page_base[page], self.page_width[page]);
+        let end = self.page_base.get(page + 1).copied().unwrap_or(self.mapped_cells);
+        let table = if self.texels[texel].back { &self.back } else { &self.front };
+        let columns = x.saturating_sub(1)..(x + 2).min(width);
+        let rows = y.saturating_sub(1)..(y + 2).min((end - base) / width);
+        rows.flat_map(move |y| columns.clone().map(move |x| table[(base + y * width + x) as usize]))
+            .filter(move |&t| t != NO_TEXEL && t as usize != texel)
+            .map(|t| t as usize)
     }
 
     /// The pieces of a texel.
@@ -177,15 +197,7 @@ impl Texels {
         }
     }
 
-    fn collect(
-        &mut self,
-        world: &World,
-        atlas: &Atlas,
-        fragments: &[Fragment],
-        mapped_cells: u32,
-        cells: usize,
-        any_double: bool,
-    ) {
+    fn collect(&mut self, world: &World, atlas: &Atlas, fragments: &[Fragment], cells: usize, any_double: bool) {
         // (sort key, cell, range of fragments) of every covered cell.
         let mut order: Vec<(u64, u32, u32, u32)> = Vec::new();
         let mut start = 0;
@@ -211,7 +223,7 @@ impl Texels {
                 .unwrap_or(super::NO_CHART)
         };
         order.par_iter_mut().for_each(|(key, cell, from, to)| {
-            *key = if *cell < mapped_cells {
+            *key = if *cell < self.mapped_cells {
                 let page = self.page_base.partition_point(|&b| b <= *cell) - 1;
                 let local = *cell - self.page_base[page];
                 let (x, y) = (local % self.page_width[page], local / self.page_width[page]);
@@ -318,19 +330,33 @@ fn rasterise(world: &World, triangle: u32, grid: &GridTriangle, out: &mut Vec<Fr
     let lo = q[0].min(q[1]).min(q[2]).floor().max(DVec2::ZERO);
     let hi = q[0].max(q[1]).max(q[2]).ceil();
     let (x1, y1) = (hi.x.min(f64::from(grid.width)) as u32, hi.y.min(f64::from(grid.height)) as u32);
-    let mut total = 0.0;
-    for y in lo.y as u32..y1 {
-        let row = clip(&clip(&Polygon::triangle(q), 1, f64::from(y), 1.0), 1, f64::from(y + 1), -1.0);
-        let Some((left, right)) = row.extent_x() else { continue };
-        for x in left.floor().max(lo.x) as u32..(right.ceil() as u32).min(x1) {
-            let share = clip_columns(&row, x).area();
-            if share > 1e-9 {
+    let columns = lo.x as u32..x1;
+    let cover = |rows: std::ops::Range<u32>, out: &mut Vec<Fragment>| {
+        let mut total = 0.0;
+        for y in rows {
+            cover_row(&q, y, columns.clone(), |x, share| {
                 total += share;
                 let cell = grid.base + y * grid.width + x;
                 out.push(Fragment { cell, triangle, area: share as f32, coverage: share as f32 });
-            }
+            });
         }
-    }
+        total
+    };
+    let rows = lo.y as u32..y1;
+    let total = if rows.len() <= ROWS {
+        cover(rows, out)
+    } else {
+        let blocks: Vec<_> = rows.step_by(ROWS).map(|y| y..y1.min(y + ROWS as u32)).collect();
+        let covered: Vec<(f64, Vec<Fragment>)> = blocks
+            .into_par_iter()
+            .map(|rows| {
+                let mut fragments = Vec::new();
+                (cover(rows, &mut fragments), fragments)
+            })
+            .collect();
+        covered.iter().for_each(|(_, fragments)| out.extend_from_slice(fragments));
+        covered.iter().map(|(total, _)| total).sum()
+    };
     if total > 0.0 {
         let scale = area / total;
         out[first..].iter_mut().for_each(|f| f.area = (f64::from(f.area) * scale) as f32);
@@ -344,6 +370,37 @@ fn rasterise(world: &World, triangle: u32, grid: &GridTriangle, out: &mut Vec<Fr
         let cell = grid.base + y * grid.width + x;
         out.push(Fragment { cell, triangle, area: (area as f32).max(f32::MIN_POSITIVE), coverage: 1e-6 });
     }
+}
+
+/// Calls `cover` with each of `columns` of row `y` that the triangle `q` [cells] meets, and the share of the cell
+/// that it covers. Cells that it covers whole are found from where it crosses the row's upper and lower line: only
+/// its rim is clipped.
+fn cover_row(q: &[DVec2; 3], y: u32, columns: std::ops::Range<u32>, mut cover: impl FnMut(u32, f64)) {
+    let row = row_of(q, y);
+    let Some((left, right)) = row.extent_x() else { return };
+    let columns = (left.floor() as u32).max(columns.start)..(right.ceil() as u32).min(columns.end);
+    let whole = whole_columns(&row, y);
+    for x in columns {
+        let share = if whole.contains(&x) { 1.0 } else { clip_columns(&row, x).area() };
+        if share > 1e-9 {
+            cover(x, share);
+        }
+    }
+}
+
+/// The part of a triangle in row `y`.
+fn row_of(q: &[DVec2; 3], y: u32) -> Polygon {
+    clip(&clip(&Polygon::triangle(*q), 1, f64::from(y), 1.0), 1, f64::from(y + 1), -1.0)
+}
+
+/// The columns whose cells a row's part of a triangle fills: by convexity those between its corners on both lines.
+fn whole_columns(row: &Polygon, y: u32) -> std::ops::Range<u32> {
+    let on = |line: f64| {
+        let on_it = row.points().iter().filter(|p| p.y == line);
+        on_it.fold((f64::INFINITY, f64::NEG_INFINITY), |(a, b), p| (a.min(p.x), b.max(p.x)))
+    };
+    let (upper, lower) = (on(f64::from(y)), on(f64::from(y + 1)));
+    upper.0.max(lower.0).ceil() as u32..upper.1.min(lower.1).floor().max(0.0) as u32
 }
 
 trait RetainFrom<T> {
@@ -480,8 +537,7 @@ impl TexelSampler {
                 let d = p - q[0];
                 DVec2::new(d.perp_dot(q[2] - q[0]) / det, (q[1] - q[0]).perp_dot(d) / det)
             };
-            let row = clip(&clip(&Polygon::triangle(q), 1, f64::from(y), 1.0), 1, f64::from(y + 1), -1.0);
-            let cell = clip_columns(&row, x);
+            let cell = clip_columns(&row_of(&q, y), x);
             let area = cell.area();
             if area <= 1e-9 || det == 0.0 {
                 // A piece thinner than rounding: its triangle's centre stands for it.
@@ -563,4 +619,33 @@ fn inside(w: Vec2) -> Vec2 {
     let w = w.clamp(Vec2::ZERO, Vec2::ONE);
     let sum = w.x + w.y;
     if sum > 1.0 { w / sum } else { w }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Clipping every cell is the plain way; triangles large and small, thin, and with sides on the grid.
+    #[test]
+    fn whole_cells_are_those_that_clipping_fills() {
+        let wave = |i: usize, k: usize| 20.0 + 20.0 * ((i * 7 + k) as f64 * 1.7).sin();
+        let mut triangles: Vec<[DVec2; 3]> =
+            (0..200).map(|i| [0, 2, 4].map(|k| DVec2::new(wave(i, k), wave(i, k + 1)))).collect();
+        triangles.push([DVec2::ZERO, DVec2::new(32.0, 0.0), DVec2::new(32.0, 32.0)]);
+        triangles.push([DVec2::new(3.0, 1.0), DVec2::new(9.0, 7.0), DVec2::new(3.0, 7.0)]);
+        triangles.push([DVec2::new(0.0, 5.0), DVec2::new(40.0, 5.0), DVec2::new(17.5, 5.0 + 1e-7)]);
+        let mut whole = 0;
+        for q in &triangles {
+            for y in 0..40 {
+                let mut found = vec![0.0; 40];
+                cover_row(q, y, 0..40, |x, share| found[x as usize] = share);
+                for (x, share) in found.into_iter().enumerate() {
+                    let plain = clip_columns(&row_of(q, y), x as u32).area();
+                    assert!((share - plain).abs() < 1e-9, "{q:?} {x} {y}: {share}, not {plain}");
+                    whole += usize::from(share == 1.0);
+                }
+            }
+        }
+        assert!(whole > 10_000, "{whole} whole cells");
+    }
 }

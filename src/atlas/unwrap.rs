@@ -8,12 +8,12 @@
 
 use super::NO_CHART;
 use super::check::{self, PlaneTriangle};
-use super::planar;
+use super::planar::{self, Lean};
 use crate::error::Warning;
 use glam::{DVec2, DVec3, Vec3};
 use rayon::prelude::*;
 use std::collections::{HashMap, VecDeque};
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 /// What a backend sees: a mesh in its own frame, centred and scaled to coordinates in [-1, 1], finite, every
 /// index in range and every triangle with an area.
@@ -75,8 +75,23 @@ pub enum UnwrapError {
 pub struct Limits<'a> {
     /// Longest time for one call.
     pub time: Duration,
+    /// When all calls must have ended: what is left then is flattened by projection. Default: never.
+    pub deadline: Option<Instant>,
     /// True once the caller wants to stop.
     pub cancelled: &'a (dyn Fn() -> bool + Sync),
+}
+
+impl Limits<'_> {
+    /// The deadline is over.
+    pub fn late(&self) -> bool {
+        self.deadline.is_some_and(|d| Instant::now() >= d)
+    }
+
+    /// The same with a call's time cut at the deadline.
+    fn for_a_call(self) -> Self {
+        let left = self.deadline.map_or(Duration::MAX, |d| d.saturating_duration_since(Instant::now()));
+        Limits { time: self.time.min(left), ..self }
+    }
 }
 
 /// Something that cuts a mesh into charts and flattens them. Its results are checked, never trusted.
@@ -100,6 +115,17 @@ pub struct JoinedMesh {
     pub triangles: Vec<[u32; 3]>,
     /// Face group of each triangle, or [`IGNORED`].
     pub groups: Vec<u32>,
+    /// The most texels per metre that its charts may get. Components of more triangles than texels are projected
+    /// on planes: what the backend would do better, nobody could see.
+    pub texels_per_metre: f64,
+}
+
+impl JoinedMesh {
+    /// Area of the triangles that get charts [m2].
+    pub fn area(&self) -> f64 {
+        let counts = |t: &u32| self.groups[*t as usize] != IGNORED;
+        (0..self.triangles.len() as u32).filter(counts).map(|t| area_of(self, t)).filter(|a| a.is_finite()).sum()
+    }
 }
 
 /// The group of triangles that get no chart on purpose.
@@ -140,10 +166,15 @@ pub fn unwrap_mesh(
 ) -> Result<(Unwrapped, Vec<Warning>), UnwrapError> {
     let mut warnings = Vec::new();
     let usable = usable_triangles(mesh, &mut warnings);
-    let pieces = pieces(mesh, &usable);
-    let parts = pieces
+    let welded = weld(&mesh.positions);
+    let source = Source { mesh, welded: &welded };
+    let parts = pieces(source, &usable)
         .into_par_iter()
-        .map(|piece| unwrap_piece(mesh, piece, backend, limits, 0))
+        .map(|Piece { triangles, seen }| match seen {
+            true => unwrap_piece(source, triangles, backend, limits, 0),
+            false if (limits.cancelled)() => Err(UnwrapError::Cancelled),
+            false => Ok(Part { charts: source.flatten(&triangles, Lean::Much), notes: Notes::default() }),
+        })
         .collect::<Result<Vec<_>, _>>()?;
     let mut notes = Notes::default();
     let mut result = Unwrapped {
@@ -169,6 +200,27 @@ pub(super) struct FlatChart {
     pub corners: Vec<PlaneTriangle>,
 }
 
+/// A mesh and, for each of its positions, the first one at the same place.
+#[derive(Clone, Copy)]
+struct Source<'a> {
+    mesh: &'a JoinedMesh,
+    welded: &'a [u32],
+}
+
+impl Source<'_> {
+    /// Charts of the triangles by projection.
+    fn flatten(self, triangles: &[u32], lean: Lean) -> Vec<FlatChart> {
+        planar::flatten(self.mesh, self.welded, triangles, lean)
+    }
+}
+
+/// Triangles that are unwrapped together.
+struct Piece {
+    triangles: Vec<u32>,
+    /// They have at least a texel each.
+    seen: bool,
+}
+
 /// What came of a piece.
 #[derive(Default)]
 struct Part {
@@ -181,6 +233,7 @@ struct Part {
 struct Notes {
     crashed: usize,
     timed_out: usize,
+    late: usize,
     failed: usize,
     dropped: usize,
     faulty: usize,
@@ -191,6 +244,7 @@ impl Notes {
     fn add(&mut self, o: &Notes) {
         self.crashed += o.crashed;
         self.timed_out += o.timed_out;
+        self.late += o.late;
         self.failed += o.failed;
         self.dropped += o.dropped;
         self.faulty += o.faulty;
@@ -216,6 +270,15 @@ impl Notes {
             self.timed_out,
             "unwrapper-timed-out",
             format!("the unwrapper was stopped on {} of {of} triangles ({reason}); {again}", self.timed_out),
+        );
+        say(
+            self.late,
+            "unwrap-time-limit",
+            format!(
+                "{} of {of} triangles were flattened plane by plane, since half of the bake's time was over; raise \
+                 --time-limit for fewer charts",
+                self.late
+            ),
         );
         say(
             self.failed,
@@ -283,7 +346,7 @@ pub(super) fn surface_area(c: [DVec3; 3]) -> f64 {
 }
 
 /// For each position the index of the first one with the same bits (-0 equals 0).
-pub(super) fn weld(positions: &[DVec3]) -> Vec<u32> {
+fn weld(positions: &[DVec3]) -> Vec<u32> {
     let mut first = HashMap::with_capacity(positions.len());
     let key = |p: &DVec3| p.to_array().map(|c| if c == 0.0 { 0 } else { c.to_bits() });
     positions.iter().enumerate().map(|(i, p)| *first.entry(key(p)).or_insert(i as u32)).collect()
@@ -291,8 +354,35 @@ pub(super) fn weld(positions: &[DVec3]) -> Vec<u32> {
 
 /// The usable triangles in pieces of whole components (connected through positions), in a fixed order. Charts
 /// never span components, so this costs nothing, and it keeps small things precise beside large ones.
-fn pieces(mesh: &JoinedMesh, usable: &[u32]) -> Vec<Vec<u32>> {
-    let welded = weld(&mesh.positions);
+fn pieces(source: Source, usable: &[u32]) -> Vec<Piece> {
+    let mesh = source.mesh;
+    let mut pieces: Vec<Piece> = Vec::new();
+    let mut last = [None; 2];
+    let mut components = VecDeque::from(components(source, usable));
+    while let Some(component) = components.pop_front() {
+        if component.len() > MAX_PIECE_TRIANGLES {
+            let (a, b) = halves(mesh, component);
+            components.push_front(b);
+            components.push_front(a);
+            continue;
+        }
+        let area: f64 = component.iter().map(|&t| area_of(mesh, t)).sum();
+        let seen = area * mesh.texels_per_metre.powi(2) >= component.len() as f64;
+        let open: &mut Option<usize> = &mut last[usize::from(seen)];
+        match open.map(|k| &mut pieces[k]) {
+            Some(p) if p.triangles.len() + component.len() <= PIECE_TRIANGLES => p.triangles.extend(component),
+            _ => {
+                *open = Some(pieces.len());
+                pieces.push(Piece { triangles: component, seen });
+            }
+        }
+    }
+    pieces
+}
+
+/// The usable triangles by connected component.
+fn components(source: Source, usable: &[u32]) -> Vec<Vec<u32>> {
+    let Source { mesh, welded } = source;
     let mut parent: Vec<u32> = (0..mesh.positions.len() as u32).collect();
     fn root(parent: &mut [u32], mut v: u32) -> u32 {
         while parent[v as usize] != v {
@@ -308,52 +398,49 @@ fn pieces(mesh: &JoinedMesh, usable: &[u32]) -> Vec<Vec<u32>> {
         let a = root(&mut parent, a);
         parent[c as usize] = a;
     }
-    let mut component_of = HashMap::new();
-    let mut components: VecDeque<Vec<u32>> = VecDeque::new();
+    const NONE: u32 = u32::MAX;
+    let mut component_of = vec![NONE; mesh.positions.len()];
+    let mut components: Vec<Vec<u32>> = Vec::new();
     for &t in usable {
-        let r = root(&mut parent, welded[mesh.triangles[t as usize][0] as usize]);
-        let c = *component_of.entry(r).or_insert_with(|| {
-            components.push_back(Vec::new());
-            components.len() - 1
-        });
-        components[c].push(t);
-    }
-    let mut pieces: Vec<Vec<u32>> = Vec::new();
-    while let Some(component) = components.pop_front() {
-        if component.len() > MAX_PIECE_TRIANGLES {
-            let (a, b) = halves(mesh, component);
-            components.push_front(b);
-            components.push_front(a);
-            continue;
+        let r = root(&mut parent, welded[mesh.triangles[t as usize][0] as usize]) as usize;
+        if component_of[r] == NONE {
+            component_of[r] = components.len() as u32;
+            components.push(Vec::new());
         }
-        match pieces.last_mut() {
-            Some(last) if last.len() + component.len() <= PIECE_TRIANGLES => last.extend(component),
-            _ => pieces.push(component),
-        }
+        components[component_of[r] as usize].push(t);
     }
-    pieces
+    components
 }
 
 /// Unwraps some triangles: the backend, else halves, else planes.
 fn unwrap_piece(
-    mesh: &JoinedMesh,
+    source: Source,
     piece: Vec<u32>,
     backend: &dyn Unwrapper,
     limits: Limits<'_>,
     halvings: u32,
 ) -> Result<Part, UnwrapError> {
+    let mesh = source.mesh;
     if (limits.cancelled)() {
         return Err(UnwrapError::Cancelled);
+    }
+    let late = |piece: &[u32]| Part {
+        charts: source.flatten(piece, Lean::Little),
+        notes: Notes { late: piece.len(), ..Notes::default() },
+    };
+    if limits.late() {
+        return Ok(late(&piece));
     }
     let local = Local::new(mesh, &piece);
     let answer = if local.input.triangles.is_empty() {
         Ok(Unwrapped::default())
     } else {
-        backend.unwrap(&local.input, limits).and_then(|u| local.validated(u))
+        backend.unwrap(&local.input, limits.for_a_call()).and_then(|u| local.validated(u))
     };
     let error = match answer {
-        Ok(unwrapped) => return Ok(local.accept(mesh, &unwrapped)),
+        Ok(unwrapped) => return Ok(local.accept(source, &unwrapped)),
         Err(e @ (UnwrapError::Cancelled | UnwrapError::Unavailable(_))) => return Err(e),
+        Err(UnwrapError::TimedOut(_)) if limits.late() => return Ok(late(&piece)),
         Err(e) => e,
     };
     let mut notes = Notes { reason: Some(error.to_string()), ..Notes::default() };
@@ -371,16 +458,17 @@ fn unwrap_piece(
         // The parent's count already covers the halves'.
         let (a, b) = halves(mesh, piece);
         let (a, b) = rayon::join(
-            || unwrap_piece(mesh, a, backend, limits, halvings + 1),
-            || unwrap_piece(mesh, b, backend, limits, halvings + 1),
+            || unwrap_piece(source, a, backend, limits, halvings + 1),
+            || unwrap_piece(source, b, backend, limits, halvings + 1),
         );
         for half in [a?, b?] {
             part.charts.extend(half.charts);
+            notes.late += half.notes.late;
             notes.dropped += half.notes.dropped;
             notes.faulty += half.notes.faulty;
         }
     } else {
-        part.charts = planar::flatten(mesh, &piece);
+        part.charts = source.flatten(&piece, Lean::Little);
     }
     part.notes = notes;
     Ok(part)
@@ -465,7 +553,7 @@ impl Local {
     }
 
     /// Takes the charts that pass the check; flattens what was dropped or is at fault.
-    fn accept(&self, mesh: &JoinedMesh, u: &Unwrapped) -> Part {
+    fn accept(&self, source: Source, u: &Unwrapped) -> Part {
         let mut part = Part::default();
         let mut left = self.left.clone();
         part.notes.dropped = left.len();
@@ -484,13 +572,13 @@ impl Local {
                 .map(|&i| u.triangles[i as usize].map(|v| u.vertices[v as usize].uv * self.metres))
                 .collect();
             let triangles: Vec<u32> = chart.iter().map(|&i| self.triangles[i as usize]).collect();
-            let (kept, faulty) = sound(mesh, FlatChart { triangles, corners });
+            let (kept, faulty) = sound(source.mesh, FlatChart { triangles, corners });
             part.notes.faulty += faulty.len();
             left.extend(faulty);
             part.charts.extend(kept);
         }
         left.sort_unstable();
-        part.charts.extend(planar::flatten(mesh, &left));
+        part.charts.extend(source.flatten(&left, Lean::Little));
         part
     }
 }

@@ -63,7 +63,8 @@ pub struct BakeArgs {
     /// (not built yet) Bake until what filtering shows is under this.
     #[arg(long, help_heading = "Targets and limits")]
     target_shown_percent: Option<f64>,
-    /// End after this many seconds with what is there (exit status 3).
+    /// End after this many seconds with what is there (exit status 3). Half of them are for the lightmap UVs; what is
+    /// not unwrapped by then is flattened plane by plane, in more charts, and a warning says so.
     #[arg(long, value_name = "SECONDS", help_heading = "Targets and limits")]
     time_limit: Option<f64>,
     /// End after this many photons with what is there (exit status 3).

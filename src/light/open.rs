@@ -13,41 +13,89 @@ use crate::scene::SurfaceFlags;
 use glam::Vec2;
 use rayon::prelude::*;
 
-/// Points per texel whose first look meets a back face; the share is known to about 1 / POINTS.
+/// Points per texel that tell whether it is near a solid's foot.
+const FIRST_POINTS: u32 = 2;
+
+/// Points per texel beside one in which a buried point was found.
+const SECOND_POINTS: u32 = 4;
+
+/// Points per texel with a buried point; its open share is known to about 1 / POINTS.
 const POINTS: u32 = 64;
 
 /// Rays that must all meet backs for a point to be buried.
 const RAYS: u32 = 6;
 
 /// Open share of the area of each texel of the map, in [0, 1], and the number of rays traced.
+///
+/// Few texels are near a solid's foot: two points each find most of those, four points their neighbours, and only
+/// texels with a buried point get the points that tell the share.
 pub fn open_shares(texels: &Texels, visibility: &Visibility, seed: u64) -> (Vec<f32>, u64) {
-    let results: Vec<(f32, u64)> = (0..texels.mapped)
-        .into_par_iter()
-        .map_init(TexelSampler::default, |sampler, id| {
-            sampler.load(texels, id);
-            let back = texels.texels[id].back;
-            let scramble = hash_seed(&[seed, 0x6f70_656e, id as u64]);
-            let mut rays = 0;
-            let buried = |k: u32, rays: &mut u64| {
-                let u = |d: usize| unit_f32(sobol(k, d, scramble));
-                let (triangle, uv) = sampler.sample(Vec2::new(u(0), u(1)));
-                let at = Receiver::new(visibility.world, triangle, uv, back, false);
-                (0..RAYS).all(|j| {
-                    *rays += 1;
-                    let v = |d| unit_f32(sobol(k * RAYS + j, d, scramble));
-                    meets_back(visibility, &at, Vec2::new(v(2), v(3)))
-                })
-            };
-            // Few texels are near a solid's foot: four looks tell the rest.
-            if !(0..4).any(|k| buried(k, &mut rays)) {
-                return (1.0, rays);
-            }
-            let n = (0..POINTS).filter(|&k| buried(k, &mut rays)).count();
-            (1.0 - n as f32 / POINTS as f32, rays)
+    let one_sided = |f: &SurfaceFlags| !f.has(SurfaceFlags::DOUBLE_SIDED) && !f.has(SurfaceFlags::PASSES_LIGHT);
+    if !visibility.world.flags.iter().any(one_sided) {
+        return (vec![1.0; texels.mapped], 0);
+    }
+    let found: Vec<(bool, u64)> = map_texels(texels, |sampler, id| {
+        let mut probe = Probe::new(texels, visibility, sampler, seed, id);
+        ((0..FIRST_POINTS).any(|k| probe.buried(k)), probe.rays)
+    });
+    let beside = |id: usize| texels.around(id).any(|n| found[n].0);
+    let shares: Vec<(f32, u64)> = map_texels(texels, |sampler, id| {
+        if !found[id].0 && !beside(id) {
+            return (1.0, 0);
+        }
+        let mut probe = Probe::new(texels, visibility, sampler, seed, id);
+        (probe.open_share(found[id].0), probe.rays)
+    });
+    let rays = found.iter().map(|f| f.1).chain(shares.iter().map(|s| s.1)).sum();
+    (shares.into_iter().map(|s| s.0).collect(), rays)
+}
+
+fn map_texels<T: Send>(texels: &Texels, f: impl Fn(&mut TexelSampler, usize) -> T + Sync + Send) -> Vec<T> {
+    (0..texels.mapped).into_par_iter().map_init(TexelSampler::default, f).collect()
+}
+
+/// Looks from points of one texel.
+struct Probe<'a> {
+    visibility: &'a Visibility<'a>,
+    sampler: &'a TexelSampler,
+    back: bool,
+    scramble: u32,
+    rays: u64,
+}
+
+impl<'a> Probe<'a> {
+    fn new(
+        texels: &Texels,
+        visibility: &'a Visibility,
+        sampler: &'a mut TexelSampler,
+        seed: u64,
+        id: usize,
+    ) -> Probe<'a> {
+        sampler.load(texels, id);
+        let scramble = hash_seed(&[seed, 0x6f70_656e, id as u64]);
+        Probe { visibility, sampler, back: texels.texels[id].back, scramble, rays: 0 }
+    }
+
+    /// Whether all rays from point `k` meet backs.
+    fn buried(&mut self, k: u32) -> bool {
+        let u = |d: usize| unit_f32(sobol(k, d, self.scramble));
+        let (triangle, uv) = self.sampler.sample(Vec2::new(u(0), u(1)));
+        let at = Receiver::new(self.visibility.world, triangle, uv, self.back, false);
+        (0..RAYS).all(|j| {
+            self.rays += 1;
+            let v = |d| unit_f32(sobol(k * RAYS + j, d, self.scramble));
+            meets_back(self.visibility, &at, Vec2::new(v(2), v(3)))
         })
-        .collect();
-    let rays = results.iter().map(|r| r.1).sum();
-    (results.into_iter().map(|r| r.0).collect(), rays)
+    }
+
+    /// Share of the points that are not buried, 1 where `known` says nothing and none of the first is.
+    fn open_share(&mut self, known: bool) -> f32 {
+        if !known && !(0..SECOND_POINTS).any(|k| self.buried(k)) {
+            return 1.0;
+        }
+        let n = (0..POINTS).filter(|&k| self.buried(k)).count();
+        1.0 - n as f32 / POINTS as f32
+    }
 }
 
 fn meets_back(visibility: &Visibility, at: &Receiver, u: Vec2) -> bool {
