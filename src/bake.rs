@@ -82,7 +82,15 @@ fn bake_here<'s>(scene: &'s Scene, options: &BakeOptions, observer: &mut dyn Obs
         TexelValue::Mean => TexelWeights::new(&world, &texels, &vec![1.0; texels.mapped]),
     };
     let tree = SurfaceTree::new(&world, &texels, &open);
-    let path = LightPath { texels: &texels, open: &open, tree: &tree, emitters: &emitters, visibility: &visibility };
+    let pitch = 1.0 / (atlas.texels_per_metre * world.frame.metres);
+    let path = LightPath {
+        texels: &texels,
+        open: &open,
+        tree: &tree,
+        crevice: pitch as f32 * CREVICE,
+        emitters: &emitters,
+        visibility: &visibility,
+    };
     let solution = solve(path, weights, options, clock.began, observer)?;
     [seconds.direct, seconds.photons, seconds.estimate] = solution.seconds;
     clock.lap();
@@ -182,6 +190,9 @@ fn report(
     report.set_texel_error(&solution.error);
     report
 }
+
+/// Width below which a gap between surfaces is none, as a share of the usual distance of texels.
+const CREVICE: f32 = 1.0 / 32.0;
 
 /// Share of all photons' flux that the backs of one node must meet to be worth a warning.
 const BACK_SHARE: f64 = 0.005;

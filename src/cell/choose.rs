@@ -2,11 +2,15 @@
 
 use super::ElementFlux;
 use super::tree::{Node, SurfaceTree};
-use std::sync::atomic::{AtomicBool, Ordering::Relaxed};
+use std::sync::atomic::{AtomicU8, Ordering::Relaxed};
 
 /// How much more than the mean gain of pure noise a split must gain to be kept. At 1 this is Mallows' Cp; more,
 /// since the best of many trees is looked for.
 const PENALTY: f64 = 3.0;
+
+/// A cell has at least this many photons, or the area for as many: one photon on a speck of surface says nothing,
+/// however unlikely it was.
+const LEAST_PHOTONS: f64 = 8.0;
 
 /// Photons in a block of [`dispersion`], both halves and all channels together.
 const BLOCK_PHOTONS: f64 = 64.0;
@@ -20,26 +24,71 @@ struct Sum {
     gain: f64,
 }
 
-/// The cells of one half: the antichain of nodes that explains `flux` best, each cell paying for itself
-/// (Kolaczyk and Nowak, "Multiscale likelihood analysis and complexity penalized estimation", 2004; optimal
-/// pruning as in dyadic CART, Donoho 1997). `photon` is the flux of one photon, `dispersion` what
-/// [`dispersion`] found.
-pub fn choose(tree: &SurfaceTree, flux: &ElementFlux, photon: f64, dispersion: f64) -> Vec<Node> {
+/// What [`choose`] found.
+#[derive(Debug, Clone, Default)]
+pub struct Choice {
+    /// Nodes that are cells, in order.
+    pub cells: Vec<Node>,
+    /// Nodes too small for a cell of their own, each with the sibling whose cells it may join.
+    pub specks: Vec<(Node, Node)>,
+}
+
+/// The cells of one half: the nodes that explain `flux` best, each cell paying for itself (Kolaczyk and Nowak,
+/// "Multiscale likelihood analysis and complexity penalized estimation", 2004; optimal pruning as in dyadic
+/// CART, Donoho 1997). `photon` is the flux of one photon, `dispersion` what [`dispersion`] found.
+pub fn choose(tree: &SurfaceTree, flux: &ElementFlux, photon: f64, dispersion: f64) -> Choice {
+    let mut choice = Choice::default();
     if tree.is_empty() {
-        return Vec::new();
+        return choice;
     }
     let price = (1.0 + PENALTY) * dispersion;
-    let split: Vec<AtomicBool> = (0..tree.len()).map(|_| AtomicBool::new(false)).collect();
-    let leaf =
-        |k: usize| Sum { area: f64::from(tree.elements[k].area), flux: flux[k].map(f64::from), gain: 0.0 };
+    let marks: Vec<AtomicU8> = (0..tree.len()).map(|_| AtomicU8::new(WHOLE)).collect();
+    let leaf = |k: usize| Sum { area: f64::from(tree.elements[k].area), flux: flux[k].map(f64::from), gain: 0.0 };
     let join = |node: &Node, a: Sum, b: Sum| {
-        let gain = a.gain + b.gain + deviance(&a, &b, photon) - price;
-        split[node.index].store(gain > 0.0, Relaxed);
-        Sum { area: a.area + b.area, flux: std::array::from_fn(|c| a.flux[c] + b.flux[c]), gain: gain.max(0.0) }
+        let sum = Sum {
+            area: a.area + b.area,
+            flux: std::array::from_fn(|c| a.flux[c] + b.flux[c]),
+            gain: a.gain + b.gain,
+        };
+        let photons = |s: &Sum| s.flux.iter().fold(0.0, |m: f64, &f| m.max(f)) / photon;
+        let small = |s: &Sum| photons(s).max(photons(&sum) * s.area / sum.area) < LEAST_PHOTONS;
+        // To split off a speck gains nothing and costs nothing: what is below the rest decides.
+        let (mark, gain) = match (small(&a), small(&b)) {
+            (true, true) => (WHOLE, 0.0),
+            (true, false) => (SPECK_FIRST, sum.gain),
+            (false, true) => (SPECK_SECOND, sum.gain),
+            (false, false) => (SPLIT, sum.gain + deviance(&a, &b, photon) - price),
+        };
+        marks[node.index].store(if gain > 0.0 { mark } else { WHOLE }, Relaxed);
+        Sum { gain: gain.max(0.0), ..sum }
     };
     tree.fold(&tree.root(), &leaf, &join);
-    tree.cut(|node| !split[node.index].load(Relaxed))
+    let mut open = vec![tree.root()];
+    while let Some(node) = open.pop() {
+        let mark = marks[node.index].load(Relaxed);
+        match tree.children(&node).filter(|_| mark != WHOLE) {
+            None => choice.cells.push(node),
+            Some([a, b]) => match mark {
+                SPECK_FIRST => {
+                    choice.specks.push((a, b.clone()));
+                    open.push(b);
+                }
+                SPECK_SECOND => {
+                    choice.specks.push((b, a.clone()));
+                    open.push(a);
+                }
+                _ => open.extend([b, a]),
+            },
+        }
+    }
+    choice
 }
+
+/// What becomes of a node.
+const WHOLE: u8 = 0;
+const SPLIT: u8 = 1;
+const SPECK_FIRST: u8 = 2;
+const SPECK_SECOND: u8 = 3;
 
 /// Twice the log likelihood ratio of two Poisson means against one, summed over the channels, where one photon
 /// carries `photon`.

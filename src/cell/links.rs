@@ -3,6 +3,7 @@
 //! A floor that runs on under a wall is one surface with two lights. Two points of it belong together if a short
 //! ray between them, a little above the surface, is free.
 
+use super::choose::Choice;
 use super::tree::{Element, Node, SurfaceTree};
 use crate::accel::{Accel, Ray, offset_origin};
 use rayon::prelude::*;
@@ -27,11 +28,35 @@ pub struct Cells {
 }
 
 impl Cells {
-    /// Makes cells of `nodes`, cut where walls part them.
-    pub fn new(tree: &SurfaceTree, nodes: &[Node], accel: &Accel) -> Cells {
-        let parts: Vec<Vec<Vec<u32>>> = nodes.par_iter().map(|node| part(tree, node, accel)).collect();
+    /// Makes cells of a choice of nodes: cut where walls part them, with the specks beside them.
+    pub fn new(tree: &SurfaceTree, choice: &Choice, accel: &Accel) -> Cells {
+        let parts: Vec<Vec<Vec<u32>>> = choice.cells.par_iter().map(|node| part(tree, node, accel)).collect();
+        // Which of the cells begin within a node of the choice.
+        let mut first = Vec::with_capacity(parts.len() + 1);
+        let mut count = 0;
+        for p in &parts {
+            first.push(count);
+            count += p.len();
+        }
+        first.push(count);
+        let mut parts: Vec<Vec<u32>> = parts.into_iter().flatten().collect();
+        let middles: Vec<&Element> = parts.par_iter().map(|p| middle_of(p.iter().map(|&k| &tree.elements[k as usize]))).collect();
+        let homes: Vec<usize> = choice
+            .specks
+            .par_iter()
+            .map(|(speck, sibling)| {
+                let at = middle(tree, speck.elements.clone());
+                let within = |from: usize| choice.cells.partition_point(|n| n.elements.start < from);
+                let range = first[within(sibling.elements.start)]..first[within(sibling.elements.end)];
+                let distance = |i: &usize| middles[*i].position.distance_squared(at.position);
+                range.min_by(|a, b| distance(a).total_cmp(&distance(b))).expect("a sibling of a speck has cells")
+            })
+            .collect();
+        for ((speck, _), home) in choice.specks.iter().zip(homes) {
+            parts[home].extend(speck.elements.start as u32..speck.elements.end as u32);
+        }
         let mut cells = Cells { order: Vec::with_capacity(tree.elements.len()), ranges: Vec::new() };
-        for elements in parts.into_iter().flatten() {
+        for elements in parts {
             let start = cells.order.len();
             cells.order.extend(elements);
             cells.ranges.push(start..cells.order.len());
@@ -93,13 +118,17 @@ fn part(tree: &SurfaceTree, node: &Node, accel: &Accel) -> Vec<Vec<u32>> {
 
 /// The element nearest to the middle of a run of them.
 fn middle(tree: &SurfaceTree, range: Range<usize>) -> &Element {
-    let elements = &tree.elements[range];
+    middle_of(tree.elements[range].iter())
+}
+
+/// The element nearest to the middle of some: at least one.
+pub fn middle_of<'e>(elements: impl Iterator<Item = &'e Element> + Clone) -> &'e Element {
     let (mut sum, mut area) = (glam::DVec3::ZERO, 0.0);
-    for e in elements {
+    for e in elements.clone() {
         sum += f64::from(e.area) * e.position.as_dvec3();
         area += f64::from(e.area);
     }
     let centre = (sum / area).as_vec3();
     let distance = |e: &&Element| e.position.distance_squared(centre);
-    elements.iter().min_by(|a, b| distance(a).total_cmp(&distance(b))).expect("a node has elements")
+    elements.min_by(|a, b| distance(a).total_cmp(&distance(b))).expect("some elements")
 }

@@ -1,8 +1,10 @@
-//! Which part of a texel's surface lies inside closed solids.
+//! Which part of a texel's surface lies inside closed solids, or under another surface.
 //!
 //! A floor under a box is never seen and never lit; as part of a texel's mean it would only darken the visible
-//! rest. A point is *buried* if every ray from it meets the back of a one-sided surface first. The share of a
-//! texel's area that is open divides its flux in place of the whole area.
+//! rest. Nor is a sheet seen that another lies upon, but light that strays between two white ones is reflected
+//! hundreds of times and would outshine all else. A point is *buried* if every ray from it meets the back of a
+//! one-sided surface first, or any surface much nearer than a texel is wide. The share of a texel's area that is
+//! open divides its flux in place of the whole area.
 
 use super::receiver::Receiver;
 use super::visibility::Visibility;
@@ -22,7 +24,10 @@ const SECOND_POINTS: u32 = 4;
 /// Points per texel with a buried point; its open share is known to about 1 / POINTS.
 const POINTS: u32 = 64;
 
-/// Rays that must all meet backs for a point to be buried.
+/// A surface nearer than this share of a texel's side lies upon it.
+const COVER: f32 = 1.0 / 32.0;
+
+/// Rays that must all meet backs or a cover for a point to be buried.
 const RAYS: u32 = 6;
 
 /// Open share of the area of each texel of the map, in [0, 1], and the number of rays traced.
@@ -30,10 +35,6 @@ const RAYS: u32 = 6;
 /// Few texels are near a solid's foot: two points each find most of those, four points their neighbours, and only
 /// texels with a buried point get the points that tell the share.
 pub fn open_shares(texels: &Texels, visibility: &Visibility, seed: u64) -> (Vec<f32>, u64) {
-    let one_sided = |f: &SurfaceFlags| !f.has(SurfaceFlags::DOUBLE_SIDED) && !f.has(SurfaceFlags::PASSES_LIGHT);
-    if !visibility.world.flags.iter().any(one_sided) {
-        return (vec![1.0; texels.mapped], 0);
-    }
     let found: Vec<(bool, u64)> = map_texels(texels, |sampler, id| {
         let mut probe = Probe::new(texels, visibility, sampler, seed, id);
         ((0..FIRST_POINTS).any(|k| probe.buried(k)), probe.rays)
@@ -59,6 +60,8 @@ struct Probe<'a> {
     visibility: &'a Visibility<'a>,
     sampler: &'a TexelSampler,
     back: bool,
+    /// Distance below which a surface is a cover [frame units].
+    cover: f32,
     scramble: u32,
     rays: u64,
 }
@@ -73,10 +76,11 @@ impl<'a> Probe<'a> {
     ) -> Probe<'a> {
         sampler.load(texels, id);
         let scramble = hash_seed(&[seed, 0x6f70_656e, id as u64]);
-        Probe { visibility, sampler, back: texels.texels[id].back, scramble, rays: 0 }
+        let t = &texels.texels[id];
+        Probe { visibility, sampler, back: t.back, cover: COVER * t.area.sqrt(), scramble, rays: 0 }
     }
 
-    /// Whether all rays from point `k` meet backs.
+    /// Whether all rays from point `k` meet backs or a cover.
     fn buried(&mut self, k: u32) -> bool {
         let u = |d: usize| unit_f32(sobol(k, d, self.scramble));
         let (triangle, uv) = self.sampler.sample(Vec2::new(u(0), u(1)));
@@ -84,7 +88,7 @@ impl<'a> Probe<'a> {
         (0..RAYS).all(|j| {
             self.rays += 1;
             let v = |d| unit_f32(sobol(k * RAYS + j, d, self.scramble));
-            meets_back(self.visibility, &at, Vec2::new(v(2), v(3)))
+            blind(self.visibility, &at, Vec2::new(v(2), v(3)), self.cover)
         })
     }
 
@@ -98,12 +102,14 @@ impl<'a> Probe<'a> {
     }
 }
 
-fn meets_back(visibility: &Visibility, at: &Receiver, u: Vec2) -> bool {
+/// Whether a ray meets a back, or a surface nearer than `cover`.
+fn blind(visibility: &Visibility, at: &Receiver, u: Vec2, cover: f32) -> bool {
     let direction = cosine_hemisphere(at.geometric_normal, u);
     let ray = Ray { origin: at.origin, direction, t_max: f32::INFINITY };
     visibility.accel.closest(&ray).is_some_and(|hit| {
         let flags = visibility.world.flags[hit.triangle as usize];
         let from_behind = visibility.world.normals[hit.triangle as usize].dot(direction) > 0.0;
-        from_behind && !flags.has(SurfaceFlags::DOUBLE_SIDED) && !flags.has(SurfaceFlags::PASSES_LIGHT)
+        let back = from_behind && !flags.has(SurfaceFlags::DOUBLE_SIDED);
+        (back || hit.t < cover) && !flags.has(SurfaceFlags::PASSES_LIGHT)
     })
 }

@@ -17,7 +17,7 @@ pub struct EnergyLedger {
     pub back_absorbed: [i128; 3],
     /// Left the scene.
     pub escaped: [i128; 3],
-    /// In photons ended by the bounce limit.
+    /// In photons ended in crevices and by the bounce limit.
     pub cut: [i128; 3],
     /// Sum of all deposits, mapped or not.
     pub deposited: [i128; 3],

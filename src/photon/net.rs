@@ -59,6 +59,8 @@ pub struct Shooting<'a> {
     pub texels: &'a Texels,
     /// What photons meet.
     pub visibility: &'a Visibility<'a>,
+    /// Width below which a gap between surfaces is none [frame units].
+    pub crevice: f32,
 }
 
 impl Shooting<'_> {
@@ -119,7 +121,7 @@ impl Shooting<'_> {
         let direction = cosine_hemisphere(at.geometric_normal, Vec2::new(unit_f32(random()), unit_f32(random())));
         let flux = start.color.map(|c| ((u64::from(c) * u64::from(net.weight) + 32767) / 65535) as u32);
         let photon = Photon { ray: Ray { origin: at.origin, direction, t_max: f32::INFINITY }, flux };
-        walk(photon, self.visibility, random, trail, ledger);
+        walk(photon, self.visibility, self.crevice, random, trail, ledger);
         texel
     }
 }

@@ -11,6 +11,10 @@ use glam::{Vec2, Vec3};
 /// A photon ends after this many surfaces, whatever the reflectance; what it carried is counted as cut.
 pub const MAX_SURFACES: u32 = 100_000;
 
+/// A photon ends after this many steps in a row that are shorter than a crevice is wide. Between white sheets that
+/// lie upon another it would go on for hundreds, and make spikes of light that nobody sees.
+const MOST_CREVICE_STEPS: u32 = 8;
+
 /// Reflectances are fixed-point numbers with this many bits.
 const ALBEDO_BITS: u32 = 24;
 
@@ -23,10 +27,12 @@ pub struct Photon {
     pub flux: [u32; 3],
 }
 
-/// Walks `photon` to its end. `random` gives the next random word. What it leaves is appended to `trail`; the ledger balances.
+/// Walks `photon` to its end. Gaps below `crevice` [frame units] keep it for a few steps only. `random` gives the
+/// next random word. What it leaves is appended to `trail`; the ledger balances.
 pub fn walk(
     mut photon: Photon,
     visibility: &Visibility,
+    crevice: f32,
     mut random: impl FnMut() -> u32,
     trail: &mut Trail,
     ledger: &mut EnergyLedger,
@@ -34,12 +40,17 @@ pub fn walk(
     let world = visibility.world;
     add(&mut ledger.emitted, photon.flux);
     ledger.photons += 1;
+    let mut crevice_steps = 0;
     for _ in 0..MAX_SURFACES {
         ledger.rays += 1;
         let Some(hit) = visibility.accel.closest(&photon.ray) else {
             add(&mut ledger.escaped, photon.flux);
             return;
         };
+        crevice_steps = if hit.t < crevice { crevice_steps + 1 } else { 0 };
+        if crevice_steps > MOST_CREVICE_STEPS {
+            break;
+        }
         let uv = Vec2::new(hit.u, hit.v);
         let flags = world.flags[hit.triangle as usize];
         let normal = world.normals[hit.triangle as usize];

@@ -17,6 +17,19 @@ impl Solver<'_, '_> {
         let direct = self.direct_halves();
         let caught = self.caught();
         let mut found = self.reconstruct(&caught);
+        if std::env::var("DEBUG_TOP").is_ok() {
+            let photon = self.start_totals[0].max(self.start_totals[1]) / self.photons.max(1) as f64;
+            let mut q: Vec<(f32, usize)> = tree.elements.iter().enumerate().map(|(k, e)| (e.area * (found.values[0][k] - found.values[1][k]).length_squared(), k)).collect();
+            q.sort_by(|a, b| b.0.total_cmp(&a.0));
+            for &(x, k) in &q[..12] {
+                let e = &tree.elements[k];
+                let t = self.path.texels.pieces_of(e.texel as usize);
+                let r = visibility.world.refs[t[0].triangle as usize];
+                let m = visibility.world.material(t[0].triangle);
+                let alb = visibility.world.surface(t[0].triangle, glam::Vec2::splat(0.3));
+                eprintln!("{x:.3e} {} tri {} {} {:?} n {:?} back {} counts {:.1} {:.1} rho {:?} dbl {} pieces {} D {:?}", visibility.world.scene.instances[r.instance as usize].name, t[0].triangle, m.name, visibility.world.frame.to_world(e.position), e.normal, self.path.texels.texels[e.texel as usize].back, caught[0][k][0] as f64 / photon, caught[1][k][0] as f64 / photon, alb.albedo, m.double_sided, t.len(), direct.mean(e.texel as usize));
+            }
+        }
         self.gather(&mut found);
         let indirect = self.indirect_halves(&found);
         let add = |a: &[Vec3], b: &[Vec3]| a.par_iter().zip(b).map(|(a, b)| *a + *b).collect::<Vec<_>>();

