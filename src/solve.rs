@@ -18,7 +18,7 @@ use rayon::prelude::*;
 use std::time::Instant;
 
 /// Direct samples per texel and half of the first round.
-const FIRST_SAMPLES: u32 = 4;
+const FIRST_SAMPLES: u32 = 2;
 
 /// Direct samples between two looks at the clock and at what they found.
 const MOST_SAMPLES_AT_ONCE: u64 = 1 << 24;
