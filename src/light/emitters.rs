@@ -19,7 +19,7 @@ pub const PUNCTUAL_LOOP_LIMIT: usize = 16;
 const WEIGH_ALL_LIMIT: usize = 32;
 
 /// Of more, the tree proposes this many.
-const PROPOSALS: u32 = 4;
+const PROPOSALS: u32 = 2;
 
 /// What to make of the lights.
 #[derive(Debug, Clone, Copy, Default)]
