@@ -117,7 +117,7 @@ fn photons_weigh_the_same_all_the_way() {
             let ray = Ray { origin: world.frame.from_world(glam::DVec3::splat(2.2)), direction, t_max: f32::INFINITY };
             let photon = Photon { ray, flux: [1 << 24, 1 << 23, 1 << 22] };
             let mut ledger = EnergyLedger::default();
-            walk(photon, &visibility, || (random.unit() * 4_294_967_296.0) as u32, &mut trail, &mut ledger);
+            walk(photon, &visibility, 0.0, || (random.unit() * 4_294_967_296.0) as u32, &mut trail, &mut ledger);
             assert_eq!(ledger.imbalance(), [0; 3], "{what}");
             for d in &trail.deposits {
                 assert_eq!(d.flux.iter().max(), Some(&(1 << 24)), "{what}");

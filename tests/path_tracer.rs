@@ -16,9 +16,9 @@ use glam::{Vec3, Vec4};
 
 const PAGE: u32 = 64;
 
-fn agree(what: &str, scene: &Scene, paths: usize) {
+fn agree(what: &str, scene: &Scene, seeds: u64, paths: usize) {
     let options = BakeOptions { max_photons: Some(1 << 17), double_sided: DoubleSided::Split, ..plain(PAGE, 0.5) };
-    let (z, noise) = scores(scene, &options, 16, paths, Fault::None);
+    let (z, noise) = scores(scene, &options, seeds, paths, Fault::None);
     let n = z.len() as f64;
     println!(
         "{what}: {n} texels, noise {:.2} %, mean score {:.3}, squares {:.1}",
@@ -39,7 +39,7 @@ fn coloured(b: &mut Builder, r: f32, g: f32, blue: f32) -> usize {
 /// Five coloured walls and a front, a lamp under the ceiling, a box in the way.
 #[test]
 fn cornell_box_with_a_box() {
-    agree("cornell", &common::rooms::cornell(PAGE), 3000);
+    agree("cornell", &common::rooms::cornell(PAGE), 16, 3000);
 }
 
 /// A room that is lit by the sky through a window.
@@ -59,7 +59,7 @@ fn room_with_a_window() {
     b.quad("beside", Vec3::Y, Vec3::Y * 1.5, Vec3::Z, white, [4, 2]);
     b.quad("beside too", Vec3::new(0.0, 1.0, 3.0), Vec3::Y * 1.5, Vec3::Z, white, [4, 2]);
     b.scene_mut().sky = Some(Sky::Constant(Vec3::new(1.0, 1.5, 2.5)));
-    agree("window", &b.finish(), 10000);
+    agree("window", &b.finish(), 32, 10000);
 }
 
 /// A point and a spot light in a room of coloured walls with a box.
@@ -71,7 +71,7 @@ fn spot_and_point() {
     b.solid(Vec3::new(1.0, 0.5, 1.0), Vec3::new(2.0, 1.25, 2.0), blue, 4);
     b.point_light(Vec3::new(3.25, 2.0, 0.75), 10.0);
     b.light(Vec3::new(0.75, 2.5, 1.5), Vec3::new(0.4, -1.0, 0.1), 60.0, LightKind::Spot { inner: 0.2, outer: 0.7 });
-    agree("spot and point", &b.finish(), 3000);
+    agree("spot and point", &b.finish(), 16, 3000);
 }
 
 /// Sheets that pass light, shine or reflect on both sides, in an open scene under a sun.
@@ -103,5 +103,5 @@ fn sheets_in_the_open() {
     b.quad("lamp", Vec3::new(-2.5, 2.0, -0.5), Vec3::X * 1.0, Vec3::Z, lamp, [4; 2]);
     b.light(Vec3::ZERO, Vec3::new(0.3, -1.0, 0.4), 8.0, LightKind::Directional { angular_diameter: 0.0 });
     b.scene_mut().sky = Some(Sky::Constant(Vec3::new(0.5, 0.75, 1.0)));
-    agree("sheets", &b.finish(), 3000);
+    agree("sheets", &b.finish(), 16, 3000);
 }

@@ -271,7 +271,7 @@ pub fn mesh_errors(
     let mut weight = vec![0f64; nodes.len()];
     (0..weights.weight.len()).for_each(|i| weight[weights.instance[i] as usize] += weights.weight[i]);
     let mean_bias: Vec<f64> =
-        bias.iter().zip(&weight).map(|(b, &w)| if w > 0.0 { b.resolved() / w } else { 0.0 }).collect();
+        bias.iter().zip(&weight).map(|(b, &w)| if w > 0.0 { b.likely() / w } else { 0.0 }).collect();
     for i in 0..weights.weight.len() {
         let w = weights.weight[i];
         if w <= 0.0 {

@@ -7,36 +7,36 @@ const INDIRECT_FALL: f64 = 0.6;
 /// Aimed for below the target: estimates scatter.
 const MARGIN: f64 = 0.96;
 
-/// Squared errors by source and the rays spent on each.
+/// Squared errors by source and the cost of each so far.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Spent {
-    /// Squared error of the direct light, falling as 1 / rays.
+    /// Squared error of the direct light, falling as 1 / samples.
     pub direct: f64,
     /// Squared error of the indirect light, noise and bias.
     pub indirect: f64,
-    /// Rays for direct light, > 0.
-    pub direct_rays: f64,
-    /// Rays of photons, > 0.
-    pub photon_rays: f64,
+    /// Cost of the direct light so far, > 0.
+    pub direct_cost: f64,
+    /// Cost of the photons so far, in the same unit, > 0.
+    pub photon_cost: f64,
 }
 
 /// Factors (>= 1) on both kinds of work that bring the sum of the squared errors down to `1 / needed` of it with
-/// the fewest rays.
+/// the least cost.
 pub fn cheapest_growth(spent: &Spent, needed: f64) -> (f64, f64) {
-    let Spent { direct, indirect, direct_rays, photon_rays } = *spent;
+    let Spent { direct, indirect, direct_cost, photon_cost } = *spent;
     let goal = (direct + indirect) / needed * MARGIN * MARGIN;
     if needed <= 1.0 || goal <= 0.0 || goal.is_nan() {
         return (1.0, 1.0);
     }
-    // Where each ray brings the same, both kinds are worth as much: the price m of error says how far to go.
+    // At the least cost a little more of either brings the same: the price m of error says how far to go.
     let growth = |m: f64| {
-        let x = (m * direct / direct_rays).sqrt();
-        let y = libm::pow(m * INDIRECT_FALL * indirect / photon_rays, 1.0 / (1.0 + INDIRECT_FALL));
+        let x = (m * direct / direct_cost).sqrt();
+        let y = libm::pow(m * INDIRECT_FALL * indirect / photon_cost, 1.0 / (1.0 + INDIRECT_FALL));
         (x.max(1.0), y.max(1.0))
     };
     let error = |(x, y): (f64, f64)| direct / x + indirect * libm::pow(y, -INDIRECT_FALL);
     // By logarithms, for prices span many orders of magnitude.
-    let scale = (direct_rays + photon_rays) / (direct + indirect);
+    let scale = (direct_cost + photon_cost) / (direct + indirect);
     let (mut low, mut high) = (-40.0, 80.0);
     for _ in 0..60 {
         let middle = 0.5 * (low + high);
@@ -65,8 +65,8 @@ pub struct Missed {
 pub struct MeshPlan {
     /// Factor on the photons, >= 1.
     pub photons: f64,
-    /// Factor on the direct samples, >= 1.
-    pub direct: f64,
+    /// (instance, factor on its direct samples).
+    pub direct: Vec<(usize, f64)>,
     /// (instance, gather rays of each texel and half).
     pub gather: Vec<(usize, u32)>,
 }
@@ -83,7 +83,7 @@ const GATHER_GROWTH: f64 = 8.0;
 
 /// The cheapest way for all of `missed` but the `spared` dearest: more photons serve all, gathering serves one
 /// mesh for rays in proportion to its texels. `target` is the meshes' target as a fraction.
-pub fn plan_meshes(missed: &[Missed], spared: usize, target: f64, photon_rays: f64) -> MeshPlan {
+pub fn plan_meshes(missed: &[Missed], spared: usize, target: f64, photon_cost: f64) -> MeshPlan {
     /// Half of the squared target for direct light, half for indirect light.
     const SHARE: f64 = 0.5;
     let samples = |m: &Missed| {
@@ -111,7 +111,7 @@ pub fn plan_meshes(missed: &[Missed], spared: usize, target: f64, photon_rays: f
     let (mut best, mut gathered_cost) = ((f64::INFINITY, 0), 0.0);
     for k in 0..=by_growth.len() {
         let photons = by_growth.get(k).map_or(1.0, |g| g.0.max(1.0));
-        let total = gathered_cost + photon_rays * (photons - 1.0);
+        let total = gathered_cost + photon_cost * (photons - 1.0);
         if total < best.0 {
             best = (total, k);
         }
@@ -120,7 +120,7 @@ pub fn plan_meshes(missed: &[Missed], spared: usize, target: f64, photon_rays: f
     let k = best.1;
     MeshPlan {
         photons: by_growth.get(k).map_or(1.0, |g| g.0.max(1.0)),
-        direct: meshes.iter().map(|m| m.direct / SHARE).fold(1.0, f64::max),
+        direct: meshes.iter().filter(|m| m.direct > SHARE).map(|m| (m.instance, m.direct / SHARE)).collect(),
         gather: by_growth[..k].iter().map(|g| (g.2.instance, samples(g.2) as u32)).collect(),
     }
 }
@@ -131,7 +131,7 @@ mod tests {
 
     #[test]
     fn growth_meets_the_goal_at_the_least_cost() {
-        let spent = Spent { direct: 3.0, indirect: 5.0, direct_rays: 1e6, photon_rays: 3e6 };
+        let spent = Spent { direct: 3.0, indirect: 5.0, direct_cost: 1e6, photon_cost: 3e6 };
         let (x, y) = cheapest_growth(&spent, 4.0);
         let error = |x: f64, y: f64| 3.0 / x + 5.0 * y.powf(-INDIRECT_FALL);
         let cost = |x: f64, y: f64| 1e6 * x + 3e6 * y;
@@ -146,9 +146,9 @@ mod tests {
 
     #[test]
     fn what_adds_no_error_does_not_grow() {
-        let spent = Spent { direct: 0.0, indirect: 1.0, direct_rays: 1e6, photon_rays: 1e6 };
+        let spent = Spent { direct: 0.0, indirect: 1.0, direct_cost: 1e6, photon_cost: 1e6 };
         assert_eq!(cheapest_growth(&spent, 9.0).0, 1.0);
-        let spent = Spent { direct: 1.0, indirect: 0.0, direct_rays: 1e6, photon_rays: 1e6 };
+        let spent = Spent { direct: 1.0, indirect: 0.0, direct_cost: 1e6, photon_cost: 1e6 };
         let (x, y) = cheapest_growth(&spent, 9.0);
         assert_eq!(y, 1.0);
         assert!((x - 9.0 / (MARGIN * MARGIN)).abs() < 1e-3);
@@ -162,7 +162,7 @@ mod tests {
         let plan = plan_meshes(&meshes, 0, 0.15, 1e7);
         assert_eq!(plan.gather.iter().map(|g| g.0).collect::<Vec<_>>(), [0, 2]);
         assert!(plan.photons > 1.5 && plan.photons < 10.0, "{plan:?}");
-        assert_eq!(plan.direct, 1.0);
+        assert!(plan.direct.is_empty());
         // The dearest may be spared.
         let plan = plan_meshes(&meshes, 1, 0.15, 1e7);
         assert_eq!(plan.photons, 1.0);

@@ -17,9 +17,10 @@ pub struct Bias {
 }
 
 impl Bias {
-    /// `square`, less what of it may be noise: for groups too small to tell.
-    pub fn resolved(&self) -> f64 {
-        if self.square <= 0.0 { 0.0 } else { (self.square - self.variance / self.square).max(0.0) }
+    /// What the bias may well be: its square and one standard error. Where photons are too few to show whether a
+    /// mesh is right, this says so.
+    pub fn likely(&self) -> f64 {
+        self.square.max(0.0) + self.variance.sqrt()
     }
 
     fn add(&mut self, term: f64) {

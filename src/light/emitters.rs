@@ -1,13 +1,13 @@
 //! All emitters of a scene, and one sample of their light at a point.
 
 use super::lighting::Lighting;
+use super::polygon::SeenPolygon;
 use super::receiver::Receiver;
 use super::sky::SkySampler;
-use super::spherical::{sample_spherical_triangle, solid_angle};
 use super::tree::{LightBounds, LightTree};
 use super::visibility::Visibility;
 use crate::accel::{self, Ray};
-use crate::sampling::{cosine_hemisphere, uniform_cone, uniform_triangle};
+use crate::sampling::{Stream, cosine_hemisphere, uniform_cone, uniform_triangle};
 use crate::scene::{BakeMode, Light, LightKind, SurfaceFlags, World};
 use glam::{Vec2, Vec3};
 
@@ -15,9 +15,11 @@ use glam::{Vec2, Vec3};
 /// light tree.
 pub const PUNCTUAL_LOOP_LIMIT: usize = 16;
 
-/// Solid angle [sr] above which a triangle is sampled by solid angle rather than by area: nearer ones would
-/// have the spikes of 1 / distance^2.
-const NEAR_SOLID_ANGLE: f64 = 0.02;
+/// Up to this many emitters of the light tree are all weighed for each sample, without the tree.
+const WEIGH_ALL_LIMIT: usize = 32;
+
+/// Of more, the tree proposes this many.
+const PROPOSALS: u32 = 2;
 
 /// What to make of the lights.
 #[derive(Debug, Clone, Copy, Default)]
@@ -52,11 +54,44 @@ enum Shape {
     },
 }
 
+impl Punctual {
+    /// The way from `at` to a point or spot light, its unit direction, and the share of the intensity that goes there
+    /// over the distance squared; `None` on the light itself.
+    fn towards(&self, at: &Receiver) -> Option<(Vec3, Vec3, f32)> {
+        let to = self.position - at.origin;
+        let d2 = to.length_squared();
+        if d2 < 1e-14 {
+            return None;
+        }
+        let w = to / d2.sqrt();
+        let cone = match self.shape {
+            Shape::Spot { cos_outer, scale } => {
+                let f = ((self.direction.dot(-w) - cos_outer) * scale).clamp(0.0, 1.0);
+                f * f
+            }
+            _ => 1.0,
+        };
+        Some((to, w, cone / d2))
+    }
+}
+
 /// One entry of the light tree.
 #[derive(Debug, Clone, Copy)]
 enum TreeLight {
-    Triangle { id: u32, both_sides: bool },
+    /// `radiance` is the mean over the triangle and the sum over the channels [nit].
+    Triangle {
+        id: u32,
+        both_sides: bool,
+        radiance: f32,
+    },
     Punctual(u32),
+}
+
+/// A light of the tree as a receiver sees it.
+#[derive(Debug, Clone, Copy)]
+enum Seen {
+    Triangle { id: u32, polygon: SeenPolygon },
+    Punctual { light: u32 },
 }
 
 /// Direct irradiance [lux] that one sample finds.
@@ -78,7 +113,7 @@ impl DirectSample {
 }
 
 /// Dimensions of the unit cube that one sample uses, besides the two for the place on the texel.
-pub const SAMPLE_DIMENSIONS: usize = 9;
+pub const SAMPLE_DIMENSIONS: usize = 10;
 
 /// All emitters of a scene.
 #[derive(Debug)]
@@ -108,7 +143,8 @@ impl Emitters {
         for id in 0..world.len() as u32 {
             if let Some(b) = triangle_bounds(world, id) {
                 bounds.push(b);
-                tree_lights.push(TreeLight::Triangle { id, both_sides: b.two_sided });
+                let radiance = b.power / world.area(id) as f32;
+                tree_lights.push(TreeLight::Triangle { id, both_sides: b.two_sided, radiance });
             }
         }
         for (i, p) in punctual.iter().enumerate() {
@@ -144,35 +180,28 @@ impl Emitters {
     }
 
     /// One unbiased sample of the direct irradiance at `at`. `u(d)` gives coordinate `d` of a point of the
-    /// unit cube, d < `SAMPLE_DIMENSIONS`. Rays traced are added to `rays`.
+    /// unit cube, d < `SAMPLE_DIMENSIONS`, `more` further random numbers. Rays traced are added to `rays`.
     pub fn sample(
         &self,
         at: &Receiver,
         visibility: &Visibility,
         u: impl Fn(usize) -> f32,
+        more: &mut Stream,
         rays: &mut u64,
     ) -> DirectSample {
         let mut out = DirectSample::default();
         for light in &self.looped {
             self.add_punctual(light, 1.0, at, visibility, || Vec2::new(u(7), u(8)), &mut out, rays);
         }
-        if let Some((i, probability)) = self.tree.pick(at.origin, at.geometric_normal, u(0)) {
-            match self.tree_lights[i as usize] {
-                TreeLight::Triangle { id, both_sides } => {
-                    add_triangle(
-                        id,
-                        both_sides,
-                        1.0 / probability,
-                        at,
-                        visibility,
-                        Vec2::new(u(1), u(2)),
-                        &mut out,
-                        rays,
-                    );
+        if let Some((seen, weight)) = self.choose(at, visibility, u(0), u(9)) {
+            match seen {
+                Seen::Triangle { id, polygon } => {
+                    let place = Vec2::new(u(1), u(2));
+                    add_triangle(id, &polygon, weight, at, visibility, place, more, &mut out, rays);
                 }
-                TreeLight::Punctual(k) => {
-                    let light = &self.punctual[k as usize];
-                    self.add_punctual(light, 1.0 / probability, at, visibility, || Vec2::ZERO, &mut out, rays);
+                Seen::Punctual { light } => {
+                    let light = &self.punctual[light as usize];
+                    self.add_punctual(light, weight, at, visibility, || Vec2::ZERO, &mut out, rays);
                 }
             }
         }
@@ -193,6 +222,58 @@ impl Emitters {
         out
     }
 
+    /// A light of the tree and the factor on what it sends: one over the probability of its choice, on average.
+    ///
+    /// Lights are weighed by the irradiance that they send where nothing is in the way, and one is taken in
+    /// proportion (resampled importance sampling: Talbot, Cline and Egbert 2005): all of them if they are few, else
+    /// those that the tree proposes. Where all are weighed and see the receiver, samples do not scatter at all.
+    fn choose(&self, at: &Receiver, visibility: &Visibility, propose: f32, pick: f32) -> Option<(Seen, f32)> {
+        let mut pick = f64::from(pick);
+        let (mut chosen, mut total) = (None, 0f64);
+        let mut weigh = |light: u32, weight: f64| {
+            let Some((seen, unshadowed)) = self.look(light, at, visibility) else { return };
+            let share = weight * unshadowed;
+            total += share;
+            // One random number does for all: what is left of it is uniform again.
+            let cut = share / total;
+            if pick < cut {
+                (chosen, pick) = (Some((seen, unshadowed)), pick / cut);
+            } else {
+                pick = (pick - cut) / (1.0 - cut);
+            }
+        };
+        if self.tree_lights.len() <= WEIGH_ALL_LIMIT {
+            (0..self.tree_lights.len() as u32).for_each(|light| weigh(light, 1.0));
+        } else {
+            self.tree.draw(at.origin, at.geometric_normal, PROPOSALS, propose, weigh);
+        }
+        chosen.map(|(seen, unshadowed)| (seen, (total / unshadowed) as f32))
+    }
+
+    /// A light as `at` sees it, and the irradiance that it sends where nothing is in the way, summed over the
+    /// channels (mean of the geometric and the shading normal) [lux]; `None` where that is 0.
+    fn look(&self, light: u32, at: &Receiver, visibility: &Visibility) -> Option<(Seen, f64)> {
+        match self.tree_lights[light as usize] {
+            TreeLight::Triangle { id, both_sides, radiance } => {
+                let world = visibility.world;
+                let corners = world.positions[id as usize].map(|p| (p - at.origin).as_dvec3());
+                let facing = -world.normals[id as usize].as_dvec3().dot(corners[0]);
+                if id == at.triangle || facing == 0.0 || (facing < 0.0 && !both_sides) {
+                    return None;
+                }
+                let polygon = SeenPolygon::new(corners, at)?;
+                Some((Seen::Triangle { id, polygon }, f64::from(radiance) * polygon.projected()))
+            }
+            TreeLight::Punctual(k) => {
+                let light = &self.punctual[k as usize];
+                let (_, w, falloff) = light.towards(at)?;
+                let (geometric, shading) = at.cosines(w);
+                let e = light.intensity.element_sum() * falloff * 0.5 * (geometric + shading);
+                (e > 0.0).then_some((Seen::Punctual { light: k }, f64::from(e)))
+            }
+        }
+    }
+
     fn add_punctual(
         &self,
         light: &Punctual,
@@ -210,21 +291,9 @@ impl Emitters {
                 (w, f32::INFINITY, w, 1.0)
             }
             Shape::Point | Shape::Spot { .. } => {
-                let to = light.position - at.origin;
-                let d2 = to.length_squared();
-                if d2 < 1e-14 {
-                    return;
-                }
-                let w = to / d2.sqrt();
-                let cone = match light.shape {
-                    Shape::Spot { cos_outer, scale } => {
-                        let f = ((light.direction.dot(-w) - cos_outer) * scale).clamp(0.0, 1.0);
-                        f * f
-                    }
-                    _ => 1.0,
-                };
+                let Some((to, w, falloff)) = light.towards(at) else { return };
                 // Ends a hair before the light, which may stand on a surface.
-                (to, 1.0 - 1e-5, w, cone / d2)
+                (to, 1.0 - 1e-5, w, falloff)
             }
         };
         let cosines = at.cosines(unit);
@@ -270,61 +339,38 @@ fn add_sky(
     out.add(radiance * passed * weight, cosines, true);
 }
 
+/// Light of one point of a triangle. Points are drawn in proportion to what each of them sends, so that the sample
+/// is the exact irradiance of the whole triangle, or 0 where something is in the way.
 fn add_triangle(
     id: u32,
-    both_sides: bool,
+    polygon: &SeenPolygon,
     weight: f32,
     at: &Receiver,
     visibility: &Visibility,
     u: Vec2,
+    more: &mut Stream,
     out: &mut DirectSample,
     rays: &mut u64,
 ) {
     let world = visibility.world;
-    if id == at.triangle {
-        return;
-    }
-    let [a, b, c] = world.positions[id as usize];
-    let corners = [a, b, c].map(|p| (p - at.origin).as_dvec3());
-    let near = solid_angle(corners);
-    // (barycentric weights, 1 / density per solid angle); `None`: density per area follows below.
-    let by_angle = if near > NEAR_SOLID_ANGLE { sample_spherical_triangle(corners, u) } else { None };
-    let (uv, inverse_density) = match by_angle {
-        Some((w, angle)) => match barycentric_along(corners, w) {
-            Some(uv) => (uv, Some(angle as f32)),
-            None => return,
-        },
-        None => (uniform_triangle(u), None),
-    };
-    let normal = world.normals[id as usize];
-    let target = world.position(id, uv);
-    let towards = normal.dot(at.origin - target);
-    if towards == 0.0 || (towards < 0.0 && !both_sides) {
-        return;
-    }
-    let side = normal * towards.signum();
-    let end = accel::offset_origin(target, side, world.extent(id));
-    let to = end - at.origin;
-    let d2 = to.length_squared();
-    if d2 < 1e-16 {
-        return;
-    }
-    let w = to / d2.sqrt();
-    let cosines = at.cosines(w);
-    let cos_emitter = side.dot(-w);
-    if cosines.0 <= 0.0 || cos_emitter <= 0.0 {
-        return;
-    }
+    let corners = world.positions[id as usize].map(|p| (p - at.origin).as_dvec3());
+    let Some(w) = polygon.sample(u, more) else { return };
+    let Some(uv) = barycentric_along(corners, w) else { return };
     let s = world.surface(id, uv);
     let radiance = s.emission * s.alpha;
     if radiance == Vec3::ZERO {
         return;
     }
-    let inverse_density = inverse_density.unwrap_or_else(|| world.area(id) as f32 * cos_emitter / d2);
+    let target = world.position(id, uv);
+    let normal = world.normals[id as usize];
+    let side = normal * normal.dot(at.origin - target).signum();
+    let to = accel::offset_origin(target, side, world.extent(id)) - at.origin;
     *rays += 1;
     let passed = visibility.transmittance(&Ray { origin: at.origin, direction: to, t_max: 1.0 });
     if passed != Vec3::ZERO {
-        out.add(radiance * passed * (inverse_density * weight), cosines, true);
+        let cosines = at.cosines(w.as_vec3());
+        let light = radiance * passed * (weight * (polygon.projected() / polygon.cosine(w)) as f32);
+        out.add(light, cosines, true);
     }
 }
 

@@ -33,33 +33,18 @@ const NO_SLOT: StartSlot = StartSlot { triangle: u32::MAX, uv: Vec2::ZERO, color
 #[derive(Debug, Clone, Copy)]
 struct HalfTexel {
     samples: u32,
-    /// Stored irradiance, and the square of its length.
+    /// Stored irradiance.
     stored: Vec3,
-    stored_square: f32,
-    /// Largest channel of rho E, and its square.
+    /// Largest channel of rho E.
     exitance: f32,
-    exitance_square: f32,
+    /// Variance of one sample as the first samples show it, of what is stored and of what is sent out.
+    pilot_variance: f32,
     slots: [StartSlot; START_SLOTS],
 }
 
 impl HalfTexel {
-    const EMPTY: HalfTexel = HalfTexel {
-        samples: 0,
-        stored: Vec3::ZERO,
-        stored_square: 0.0,
-        exitance: 0.0,
-        exitance_square: 0.0,
-        slots: [NO_SLOT; START_SLOTS],
-    };
-
-    /// Variance of one sample, of what is stored and of what is sent out.
-    fn variance(&self) -> f64 {
-        let n = f64::from(self.samples.max(1));
-        let stored = f64::from(self.stored_square) / n - f64::from(self.stored.length_squared()) / (n * n);
-        let sent = f64::from(self.exitance_square) / n - f64::from(self.exitance).powi(2) / (n * n);
-        // Three channels against one.
-        (stored / 3.0 + sent).max(0.0)
-    }
+    const EMPTY: HalfTexel =
+        HalfTexel { samples: 0, stored: Vec3::ZERO, exitance: 0.0, pilot_variance: 0.0, slots: [NO_SLOT; START_SLOTS] };
 }
 
 /// Direct light of all texels, gathered so far.
@@ -110,11 +95,13 @@ impl Direct {
     /// How many more samples each half of each texel should take, so that `budget` in all bring the noise down
     /// most: in proportion to the square root of area times variance (Neyman 1934), counting what a texel has.
     ///
-    /// The variance that steers a half is taken from the *other* half. The number of samples of a half is then
-    /// independent of its values: its mean stays unbiased, and the halves stay uncorrelated.
-    pub fn allocate(&self, budget: u64, texels: &Texels) -> [Vec<u32>; 2] {
+    /// What steers a texel are the first samples of the *other* texels around it, and of its own half. The number of
+    /// samples of a texel is then independent of their values, so that their mean is unbiased; and nothing passes
+    /// from one half to the other, so that the halves stay independent. (What all texels together decide, the scale
+    /// here and when to stop, depends on any one of them by a part in their number.)
+    pub fn allocate(&self, budget: u64, texels: &Texels, importance: impl Fn(usize) -> f32) -> [Vec<u32>; 2] {
         [0, 1].map(|half| {
-            let wish = self.wishes(1 - half, texels);
+            let wish = self.wishes(half, texels, &importance);
             let have = &self.halves[half];
             let more = |scale: f64| {
                 let chunks = wish
@@ -136,21 +123,18 @@ impl Direct {
         })
     }
 
-    /// Square root of area times variance of each texel as `half` sees it, evened out over neighbours and
-    /// relative to the mean: a penumbra found by one texel is looked for in those beside it.
-    fn wishes(&self, half: usize, texels: &Texels) -> Vec<f64> {
-        let raw: Vec<f64> =
-            self.halves[half].par_iter().zip(&texels.texels).map(|(h, t)| f64::from(t.area) * h.variance()).collect();
-        let mean = raw.iter().sum::<f64>() / raw.len().max(1) as f64;
+    /// Square root of area times variance of each texel, relative to the mean. The variance is that of its
+    /// neighbours: a penumbra found by one texel is looked for in those beside it.
+    fn wishes(&self, half: usize, texels: &Texels, importance: &impl Fn(usize) -> f32) -> Vec<f64> {
+        let variance: Vec<f64> = self.halves[half].iter().map(|h| f64::from(h.pilot_variance)).collect();
+        let around = around(&variance);
+        let weight = |i: usize| f64::from(texels.texels[i].area) * f64::from(importance(i));
+        let wanted: Vec<f64> = around.iter().enumerate().map(|(i, v)| weight(i) * v).collect();
+        let mean = wanted.iter().sum::<f64>() / wanted.len().max(1) as f64;
         if mean <= 0.0 {
-            return vec![1.0; raw.len()];
+            return vec![1.0; wanted.len()];
         }
-        let mut out = Vec::with_capacity(raw.len());
-        for block in raw.chunks(NEIGHBOURS) {
-            let around = block.iter().sum::<f64>() / block.len() as f64;
-            out.extend(block.iter().map(|v| (0.5 * (v + around) + LEAST_SHARE * mean).sqrt() / mean.sqrt()));
-        }
-        out
+        wanted.iter().map(|v| (v / mean + LEAST_SHARE).sqrt()).collect()
     }
 
     /// Takes the same number of samples in every texel and half.
@@ -194,8 +178,14 @@ impl Direct {
                     for (h, half) in [halves.0, halves.1].into_iter().enumerate() {
                         let key = hash_mix(seed, (id as u64) << 1 | h as u64);
                         let points = Points { seed: hash_seed(&[key]), key };
+                        let mut squares = 0.0;
                         for k in half.samples..half.samples + counts[h] {
-                            half.add(points, k, &sampler, back, smooth, emitters, visibility, &mut rays);
+                            squares += half.add(points, k, &sampler, back, smooth, emitters, visibility, &mut rays);
+                        }
+                        if half.samples == 0 && counts[h] > 1 {
+                            let mean2 = half.stored.length_squared() / 3.0 + half.exitance * half.exitance;
+                            let n = counts[h] as f32;
+                            half.pilot_variance = ((squares - mean2 / n) / (n - 1.0)).max(0.0);
                         }
                         half.samples += counts[h];
                         samples += u64::from(counts[h]);
@@ -209,11 +199,31 @@ impl Direct {
     }
 }
 
-/// Texels along the Morton curve whose variances are evened out.
-const NEIGHBOURS: usize = 16;
+/// Texels along the Morton curve that are neighbours, and those of a wider neighbourhood.
+const NEAR: usize = 32;
+const WIDE: usize = 256;
+
+/// Part of the wider neighbourhood in what a texel is taken to vary by.
+const WIDE_SHARE: f64 = 0.1;
 
 /// Share of the mean variance that every texel is taken to have at least.
 const LEAST_SHARE: f64 = 0.02;
+
+/// Mean of the values around each one, without its own.
+fn around(values: &[f64]) -> Vec<f64> {
+    let mean = |sum: f64, own: f64, n: usize| if n > 1 { (sum - own).max(0.0) / (n - 1) as f64 } else { 0.0 };
+    let mut out = Vec::with_capacity(values.len());
+    for wide in values.chunks(WIDE) {
+        let wide_sum = wide.iter().sum::<f64>();
+        for near in wide.chunks(NEAR) {
+            let near_sum = near.iter().sum::<f64>();
+            out.extend(near.iter().map(|&own| {
+                (1.0 - WIDE_SHARE) * mean(near_sum, own, near.len()) + WIDE_SHARE * mean(wide_sum, own, wide.len())
+            }));
+        }
+    }
+    out
+}
 
 /// Most samples of one half of one texel.
 const MAX_SAMPLES: f64 = 65536.0;
@@ -234,6 +244,7 @@ struct Points {
 }
 
 impl HalfTexel {
+    /// Adds one sample and returns its square: of what is stored, mean of the channels, and of what is sent out.
     fn add(
         &mut self,
         points: Points,
@@ -244,35 +255,35 @@ impl HalfTexel {
         emitters: &Emitters,
         visibility: &Visibility,
         rays: &mut u64,
-    ) {
+    ) -> f32 {
         const { assert!(SAMPLE_DIMENSIONS + 2 <= DIMENSIONS) };
         let u = |d: usize| unit_f32(sobol(k, d, points.seed));
         let (triangle, uv) = sampler.sample(Vec2::new(u(0), u(1)));
         let at = Receiver::new(visibility.world, triangle, uv, back, smooth);
-        let light = emitters.sample(&at, visibility, |d| u(d + 2), rays);
+        let mut stream = Stream::new(hash_mix(points.key, u64::from(k)));
+        let light = emitters.sample(&at, visibility, |d| u(d + 2), &mut stream, rays);
         if !light.stored.is_finite() || !light.transported.is_finite() {
-            return;
+            return 0.0;
         }
         self.stored += light.stored;
-        self.stored_square += light.stored.length_squared();
+        let stored_square = light.stored.length_squared() / 3.0;
         let unseen = visibility.world.flags[triangle as usize].has(SurfaceFlags::UNSEEN);
         if light.transported == Vec3::ZERO || unseen {
-            return;
+            return stored_square;
         }
         let surface = visibility.world.surface(triangle, uv);
         let b = surface.albedo * surface.alpha * light.transported;
         let largest = b.max_element();
         if largest <= 0.0 {
-            return;
+            return stored_square;
         }
         self.exitance += largest;
-        self.exitance_square += largest * largest;
-        let mut stream = Stream::new(hash_mix(points.key, u64::from(k)));
         for slot in &mut self.slots {
             if stream.unit() * self.exitance < largest {
                 let color = (b / largest * 65535.0).round();
                 *slot = StartSlot { triangle, uv, color: [color.x as u16, color.y as u16, color.z as u16] };
             }
         }
+        stored_square + largest * largest
     }
 }

@@ -9,6 +9,7 @@ mod emitters;
 mod gather;
 mod lighting;
 mod open;
+mod polygon;
 mod receiver;
 mod sky;
 mod spherical;

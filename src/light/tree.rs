@@ -27,19 +27,34 @@ pub struct LightBounds {
 #[derive(Debug, Clone, Copy)]
 struct Node {
     bounds: LightBounds,
+    centre: Vec3,
+    /// Radius of the sphere around the box, and the square of a hair more.
+    radius: f32,
+    bound2: f32,
+    sin_spread: f32,
     /// Left child (the right one follows at `right`), or the light where `right` is 0.
     left: u32,
     right: u32,
 }
 
-/// The tree. An empty one picks nothing.
+impl Node {
+    fn new(bounds: LightBounds, light: u32) -> Node {
+        let radius = (bounds.hi - bounds.lo).length() * 0.5;
+        // A hair larger than the box, so that nothing at its border is judged unreachable.
+        let bound2 = (radius * 1.001 + 1e-6).powi(2);
+        let sin_spread = (1.0 - bounds.cos_spread * bounds.cos_spread).max(0.0).sqrt();
+        Node { bounds, centre: (bounds.lo + bounds.hi) * 0.5, radius, bound2, sin_spread, left: light, right: 0 }
+    }
+}
+
+/// The tree. An empty one draws nothing.
 #[derive(Debug, Default)]
 pub struct LightTree {
     nodes: Vec<Node>,
 }
 
 impl LightTree {
-    /// Builds over `lights`; what [`pick`](Self::pick) returns are indices into it.
+    /// Builds over `lights`; what [`draw`](Self::draw) finds are indices into it.
     pub fn new(lights: &[LightBounds]) -> LightTree {
         let mut tree = LightTree { nodes: Vec::with_capacity(lights.len() * 2) };
         let mut order: Vec<u32> = (0..lights.len() as u32).collect();
@@ -52,7 +67,7 @@ impl LightTree {
     fn build(&mut self, lights: &[LightBounds], order: &mut [u32]) -> u32 {
         let me = self.nodes.len() as u32;
         let bounds = order.iter().map(|&i| lights[i as usize]).reduce(|a, b| merge(&a, &b)).expect("not empty");
-        self.nodes.push(Node { bounds, left: order[0], right: 0 });
+        self.nodes.push(Node::new(bounds, order[0]));
         if order.len() == 1 {
             return me;
         }
@@ -83,33 +98,40 @@ impl LightTree {
         me
     }
 
-    /// A light for the point `p` with unit normal `n`, and the probability of that pick; `None` where no light
-    /// can reach the point. `u` in [0, 1).
-    pub fn pick(&self, p: Vec3, n: Vec3, u: f32) -> Option<(u32, f32)> {
-        let mut node = self.nodes.first()?;
-        if importance(&node.bounds, p, n) <= 0.0 {
-            return None;
+    /// Draws `count` lights for the point `p` with unit normal `n`, each in proportion to its probability but evenly
+    /// spread (one in each of `count` strata, all moved by `u` in [0, 1)). Calls `visit` once for each light drawn,
+    /// with one over the number of times that it is drawn on average, times how often it was.
+    pub fn draw(&self, p: Vec3, n: Vec3, count: u32, u: f32, mut visit: impl FnMut(u32, f64)) {
+        if !self.nodes.is_empty() && importance(&self.nodes[0], p, n) > 0.0 {
+            // Draw k stands at k of the interval [0, count) of the root, moved by u.
+            self.descend(0, (0.0, f64::from(count)), f64::from(u), (p, n), &mut visit);
         }
-        let (mut probability, mut u) = (1.0f32, u);
-        while node.right != 0 {
-            let (l, r) = (&self.nodes[node.left as usize], &self.nodes[node.right as usize]);
-            let (a, b) = (importance(&l.bounds, p, n), importance(&r.bounds, p, n));
-            if a + b <= 0.0 {
-                return None;
-            }
-            let share = a / (a + b);
-            if u < share {
-                u /= share;
-                probability *= share;
-                node = l;
-            } else {
-                u = (u - share) / (1.0 - share);
-                probability *= 1.0 - share;
-                node = r;
-            }
-            u = u.clamp(0.0, 0.999_999_94);
+    }
+
+    /// Draws in the part [`from`, `from + width`) of a node: its probability is `width` over the number of draws.
+    fn descend(
+        &self,
+        node: u32,
+        (from, width): (f64, f64),
+        u: f64,
+        at: (Vec3, Vec3),
+        visit: &mut impl FnMut(u32, f64),
+    ) {
+        let drawn = (from + width - u).ceil() - (from - u).ceil();
+        if drawn <= 0.0 {
+            return;
         }
-        (probability > 0.0).then_some((node.left, probability))
+        let Node { left, right, .. } = self.nodes[node as usize];
+        if right == 0 {
+            visit(left, drawn / width);
+            return;
+        }
+        let [a, b] = [left, right].map(|c| f64::from(importance(&self.nodes[c as usize], at.0, at.1)));
+        if a + b > 0.0 {
+            let share = width * (a / (a + b));
+            self.descend(left, (from, share), u, at, visit);
+            self.descend(right, (from + share, width - share), u, at, visit);
+        }
     }
 }
 
@@ -152,20 +174,17 @@ fn merge_cones(a: &LightBounds, b: &LightBounds) -> (Vec3, f32) {
 }
 
 /// About the irradiance that a group sends to `p`; 0 only where it can send none.
-fn importance(l: &LightBounds, p: Vec3, n: Vec3) -> f32 {
-    let centre = (l.lo + l.hi) * 0.5;
-    let radius = (l.hi - l.lo).length() * 0.5;
-    let to = centre - p;
+fn importance(node: &Node, p: Vec3, n: Vec3) -> f32 {
+    let l = &node.bounds;
+    let to = node.centre - p;
     let d2 = to.length_squared();
-    // A hair larger than the box, so that nothing at its border is judged unreachable.
-    let bound = radius * 1.001 + 1e-6;
-    let distance2 = d2.max(radius * radius).max(1e-12);
-    if d2 <= bound * bound {
+    let distance2 = d2.max(node.radius * node.radius).max(1e-12);
+    if d2 <= node.bound2 {
         return l.power / distance2;
     }
     let w = to / d2.sqrt();
-    let sin_b = (bound / d2.sqrt()).min(1.0);
-    let cos_b = (1.0 - sin_b * sin_b).max(0.0).sqrt();
+    let sin2_b = node.bound2 / d2;
+    let (sin_b, cos_b) = (sin2_b.sqrt(), (1.0 - sin2_b).sqrt());
     let cos_i = minus_angle(n.dot(w), sin_b, cos_b);
     if cos_i <= 0.0 {
         return 0.0;
@@ -175,8 +194,7 @@ fn importance(l: &LightBounds, p: Vec3, n: Vec3) -> f32 {
     } else {
         let c = -l.axis.dot(w);
         let c = if l.two_sided { c.abs() } else { c };
-        let sin_o = (1.0 - l.cos_spread * l.cos_spread).max(0.0).sqrt();
-        let x = minus_angle(c, sin_o, l.cos_spread);
+        let x = minus_angle(c, node.sin_spread, l.cos_spread);
         minus_angle(x, sin_b, cos_b)
     };
     if cos_e <= 0.0 { 0.0 } else { l.power * cos_e * cos_i / distance2 }
@@ -190,4 +208,39 @@ fn minus_angle(cos_x: f32, sin_b: f32, cos_b: f32) -> f32 {
     let sin_x = (1.0 - cos_x * cos_x).max(0.0).sqrt();
     // 1e-4: near the cut-off rounding must not make a reachable light unreachable.
     cos_x * cos_b + sin_x * sin_b + 1e-4
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Lights on a line, each as often as it should be: the mean over u of what `draw` gives is 1 for every light.
+    #[test]
+    fn draws_are_unbiased() {
+        let lights: Vec<LightBounds> = (0..50)
+            .map(|i| {
+                let at = Vec3::new(i as f32 * 0.1, 1.0, (i * i % 7) as f32);
+                LightBounds {
+                    lo: at,
+                    hi: at + Vec3::splat(0.05),
+                    power: 1.0 + i as f32,
+                    axis: Vec3::NEG_Y,
+                    cos_spread: 1.0,
+                    two_sided: false,
+                    all_around: i % 3 == 0,
+                }
+            })
+            .collect();
+        let tree = LightTree::new(&lights);
+        let mut found = [0f64; 50];
+        let n = 100_000;
+        for k in 0..n {
+            tree.draw(Vec3::new(1.0, 0.0, 2.0), Vec3::Y, 4, (k as f32 + 0.5) / n as f32, |i, weight| {
+                found[i as usize] += weight / f64::from(n);
+            });
+        }
+        for (i, f) in found.iter().enumerate() {
+            assert!((f - 1.0).abs() < 0.02, "light {i}: {f}");
+        }
+    }
 }

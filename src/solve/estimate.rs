@@ -9,6 +9,9 @@ use crate::report::percentile_95;
 use glam::Vec3;
 use rayon::prelude::*;
 
+/// Texels that gather between two looks at the clock.
+const GATHER_CHUNK: usize = 4096;
+
 impl Solver<'_, '_> {
     /// Irradiance and errors as they stand.
     pub(super) fn solution(&mut self) -> Solution {
@@ -17,19 +20,6 @@ impl Solver<'_, '_> {
         let direct = self.direct_halves();
         let caught = self.caught();
         let mut found = self.reconstruct(&caught);
-        if std::env::var("DEBUG_TOP").is_ok() {
-            let photon = self.start_totals[0].max(self.start_totals[1]) / self.photons.max(1) as f64;
-            let mut q: Vec<(f32, usize)> = tree.elements.iter().enumerate().map(|(k, e)| (e.area * (found.values[0][k] - found.values[1][k]).length_squared(), k)).collect();
-            q.sort_by(|a, b| b.0.total_cmp(&a.0));
-            for &(x, k) in &q[..12] {
-                let e = &tree.elements[k];
-                let t = self.path.texels.pieces_of(e.texel as usize);
-                let r = visibility.world.refs[t[0].triangle as usize];
-                let m = visibility.world.material(t[0].triangle);
-                let alb = visibility.world.surface(t[0].triangle, glam::Vec2::splat(0.3));
-                eprintln!("{x:.3e} {} tri {} {} {:?} n {:?} back {} counts {:.1} {:.1} rho {:?} dbl {} pieces {} D {:?}", visibility.world.scene.instances[r.instance as usize].name, t[0].triangle, m.name, visibility.world.frame.to_world(e.position), e.normal, self.path.texels.texels[e.texel as usize].back, caught[0][k][0] as f64 / photon, caught[1][k][0] as f64 / photon, alb.albedo, m.double_sided, t.len(), direct.mean(e.texel as usize));
-            }
-        }
         self.gather(&mut found);
         let indirect = self.indirect_halves(&found);
         let add = |a: &[Vec3], b: &[Vec3]| a.par_iter().zip(b).map(|(a, b)| *a + *b).collect::<Vec<_>>();
@@ -43,10 +33,13 @@ impl Solver<'_, '_> {
             let share = if whole { f64::from(open[i]).powi(2) } else { 1.0 };
             (weights.weight[i] * share, weights.instance[i])
         };
-        let biases = match self.options.smoothing {
+        let mut biases = match self.options.smoothing {
             Smoothing::Cells => bias(tree, [&caught[0], &caught[1]], &found, instances, weight),
             Smoothing::None => vec![Bias::default(); instances + 1],
         };
+        // What is gathered is not smoothed.
+        let gathered = biases.iter_mut().zip(&self.gathered).filter(|(_, n)| **n > 0);
+        gathered.for_each(|(b, _)| *b = Bias::default());
         let error = texel_error(&Known {
             direct: &direct,
             indirect: &indirect,
@@ -122,7 +115,7 @@ impl Solver<'_, '_> {
         }
         let split = |([direct, indirect, starts], bias): ([f64; 3], &Bias)| {
             let starts = indirect.min(starts);
-            (direct + starts, indirect - starts + bias.resolved())
+            (direct + starts, indirect - starts + bias.likely())
         };
         sums.into_iter().zip(biases).map(split).collect()
     }
@@ -176,10 +169,15 @@ impl Solver<'_, '_> {
             starts,
             indirect: [&indirect[0], &indirect[1]],
         };
-        for (h, values) in found.values.iter_mut().enumerate() {
-            let (gathered, rays) = gather.texels(h, &wanted);
-            places.iter().zip(gathered).for_each(|(&k, e)| values[k] = e);
-            self.gather_rays += rays;
+        for (places, wanted) in places.chunks(GATHER_CHUNK).zip(wanted.chunks(GATHER_CHUNK)) {
+            for (h, values) in found.values.iter_mut().enumerate() {
+                let (light, rays) = gather.texels(h, wanted);
+                places.iter().zip(light).for_each(|(&k, e)| values[k] = e);
+                self.gather_rays += rays;
+            }
+            if self.out_of_time() {
+                break;
+            }
         }
     }
 

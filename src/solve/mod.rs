@@ -19,10 +19,10 @@ use crate::report::HistoryEntry;
 use std::time::Instant;
 
 /// Direct samples per texel and half of the first round.
-const FIRST_SAMPLES: u32 = 4;
+const FIRST_SAMPLES: u32 = 2;
 
 /// Direct samples between two looks at the clock and at what they found.
-const MOST_SAMPLES_AT_ONCE: u64 = 1 << 24;
+const MOST_SAMPLES_AT_ONCE: u64 = 1 << 22;
 
 /// Photons of the first round per half: 2^(12..20), by the number of texels.
 const FIRST_NET_BITS: std::ops::RangeInclusive<u32> = 12..=16;
@@ -35,6 +35,16 @@ const LARGEST_NET_BITS: u32 = 21;
 
 /// A round multiplies the work so far by at most this much: forecasts from little data are poor.
 const MOST_GROWTH: f64 = 5.0;
+
+/// A round lowers the squared error by at most this much: what photons bring when they grow by the most. Direct
+/// light then does not run ahead of them.
+const MOST_REDUCTION: f64 = 2.6;
+
+/// Cost of a direct sample in rays of photons: lamps are weighed and texels clipped besides.
+const SAMPLE_COST: f64 = 2.0;
+
+/// A mesh's direct light counts at most this much more than its area says.
+const MOST_IMPORTANCE: f32 = 1e6;
 
 /// What rays meet and what shines: the inputs of the solution.
 #[derive(Debug, Clone, Copy)]
@@ -115,6 +125,10 @@ struct Solver<'a, 'o> {
     /// Gather rays of each texel and half, per instance; 0 where photons do.
     gathered: Vec<u32>,
     gather_rays: u64,
+    /// How much more the direct light of each instance counts than its area says.
+    importance: Vec<f32>,
+    /// Texels of each instance on the map.
+    texels_of: Vec<usize>,
     /// Photons per half, and nets per half so far.
     photons: u64,
     nets: u64,
@@ -135,6 +149,9 @@ pub fn solve(
     began: Instant,
     observer: &mut dyn Observer,
 ) -> Result<Solution, BakeError> {
+    let instances = path.visibility.world.scene.instances.len();
+    let mut texels_of = vec![0; instances];
+    weights.instance.iter().for_each(|&i| texels_of[i as usize] += 1);
     let mut solver = Solver {
         path,
         options,
@@ -146,8 +163,10 @@ pub fn solve(
         flux: None,
         start_totals: [0.0; 2],
         starts: None,
-        gathered: vec![std::env::var("GATHER_ALL").map_or(0, |v| v.parse().unwrap()); path.visibility.world.scene.instances.len()],
+        gathered: vec![0; instances],
         gather_rays: 0,
+        importance: vec![1.0; instances],
+        texels_of,
         photons: 0,
         nets: 0,
         ledger: EnergyLedger::default(),
@@ -165,6 +184,8 @@ struct Round {
     samples: u64,
     /// Photons per half.
     photons: u64,
+    /// (instance, factor) by which its direct light is to count more.
+    direct: Vec<(usize, f64)>,
     /// (instance, gather rays of each texel and half) from now on.
     gather: Vec<(usize, u32)>,
 }
@@ -172,13 +193,14 @@ struct Round {
 impl Solver<'_, '_> {
     fn run(&mut self) -> Result<Solution, BakeError> {
         let bits = (self.path.texels.texels.len().max(1).ilog2()).clamp(*FIRST_NET_BITS.start(), *FIRST_NET_BITS.end());
-        let mut round = Round { samples: 1, photons: 1 << bits, gather: Vec::new() };
+        let mut round = Round { samples: 1, photons: 1 << bits, ..Round::default() };
         loop {
             let stopped = self.trace(&round)?;
             let started = Instant::now();
             let mut solution = self.solution();
             self.seconds[2] += started.elapsed().as_secs_f64();
-            let wish = self.wish(&solution);
+            let wish = self.wish(&solution, f64::INFINITY);
+            let next = self.wish(&solution, MOST_REDUCTION);
             let rays = self.rays();
             let forecast_rays = rays as f64 + wish.as_ref().map_or(0.0, |r| self.cost(r));
             self.history.push(HistoryEntry {
@@ -192,7 +214,7 @@ impl Solver<'_, '_> {
             self.last = Some((solution.error.high, forecast_rays));
             self.report_progress()?;
             let done = wish.is_none();
-            match wish.and_then(|r| self.bounded(r)).filter(|_| stopped.is_none()) {
+            match next.and_then(|r| self.bounded(r)).filter(|_| stopped.is_none()) {
                 Some(next) => round = next,
                 None => {
                     solution.limit = if done { None } else { stopped.or(Some(self.exhausted())) };
@@ -216,7 +238,8 @@ impl Solver<'_, '_> {
                 self.direct.extend_all(FIRST_SAMPLES, self.options.seed, smooth, texels, (emitters, visibility));
                 left = 0;
             } else {
-                let more = self.direct.allocate(budget, texels);
+                let counts = |texel: usize| self.weights.instance.get(texel).map_or(1.0, |&i| self.importance[i as usize]);
+                let more = self.direct.allocate(budget, texels, counts);
                 let counts = |half: usize, texel: usize| more[half][texel];
                 self.direct.extend(&counts, self.options.seed, smooth, texels, (emitters, visibility));
                 left -= budget;
@@ -314,38 +337,41 @@ impl Solver<'_, '_> {
     fn cost(&self, round: &Round) -> f64 {
         let per_sample = self.direct.rays().max(1) as f64 / self.direct.samples().max(1) as f64;
         let per_photon = self.ledger.rays.max(1) as f64 / self.photons.max(1) as f64;
-        let texels = |instance: usize| self.weights.instance.iter().filter(|&&i| i as usize == instance).count();
-        let gather: f64 = round.gather.iter().map(|&(i, n)| 4.0 * f64::from(n) * texels(i) as f64).sum();
+        let gather: f64 = round.gather.iter().map(|&(i, n)| 4.0 * f64::from(n) * self.texels_of[i] as f64).sum();
         per_sample * round.samples as f64 + per_photon * round.photons as f64 + gather
     }
 
-    /// The least work that meets the targets by what is known; `None` where they are met.
-    fn wish(&self, s: &Solution) -> Option<Round> {
+    /// The least work that meets the targets by what is known, or lowers the squared error by `most`; `None` where
+    /// the targets are met.
+    fn wish(&self, s: &Solution, most: f64) -> Option<Round> {
         let (target, mesh_target) = (self.options.target_percent, self.options.mesh_target());
         if s.error.high <= target && s.mesh_percent <= mesh_target {
             return None;
         }
+        let samples = self.direct.samples() as f64;
         let spent = Spent {
             direct: s.squares.0,
             indirect: s.squares.1,
-            direct_rays: self.direct.rays().max(1) as f64,
-            photon_rays: self.ledger.rays.max(1) as f64,
+            direct_cost: SAMPLE_COST * samples,
+            photon_cost: self.ledger.rays.max(1) as f64,
         };
-        let (x, y) = cheapest_growth(&spent, (s.error.high / target).powi(2));
-        let mut round = Round { samples: 0, photons: 0, gather: Vec::new() };
-        let (mut direct, mut photons) = (x, y);
+        let (x, mut y) = cheapest_growth(&spent, (s.error.high / target).powi(2).min(most));
+        let mut round = Round { samples: (samples * (x - 1.0)).ceil().min(1e18) as u64, ..Round::default() };
         if s.mesh_percent > mesh_target {
-            let spared = s.meshes.len() / 20;
-            let plan = plan_meshes(&s.missed, spared, mesh_target / 100.0, spent.photon_rays * y);
-            direct = direct.max(plan.direct);
-            photons *= plan.photons;
+            let plan = plan_meshes(&s.missed, s.meshes.len() / 20, mesh_target / 100.0, spent.photon_cost * y);
+            y *= plan.photons;
             round.gather = plan.gather;
+            round.direct = plan.direct;
+            // As if samples were spread evenly: those of a mesh grow by its factor.
+            let per_texel = samples / self.path.texels.texels.len().max(1) as f64;
+            for &(instance, factor) in &round.direct {
+                let more = per_texel * self.texels_of[instance] as f64 * (factor.min(most) - 1.0);
+                round.samples = round.samples.saturating_add(more.ceil().min(1e18) as u64);
+            }
         }
-        if self.flux.is_none() {
-            photons = 1.0;
+        if self.flux.is_some() {
+            round.photons = (self.photons as f64 * (y - 1.0)).ceil().min(1e18) as u64;
         }
-        round.samples = (self.direct.samples() as f64 * (direct - 1.0)).ceil().min(1e18) as u64;
-        round.photons = (self.photons as f64 * (photons - 1.0)).ceil().min(1e18) as u64;
         Some(round)
     }
 
@@ -366,6 +392,10 @@ impl Solver<'_, '_> {
         });
         wish.gather = affordable.map(|c| c.1).collect();
         wish.gather.iter().for_each(|&(instance, rays)| self.gathered[instance] = rays);
+        for &(instance, factor) in &wish.direct {
+            let importance = &mut self.importance[instance];
+            *importance = (*importance * factor.min(MOST_REDUCTION) as f32).min(MOST_IMPORTANCE);
+        }
         (wish.samples > 0 || wish.photons > 0 || !wish.gather.is_empty()).then_some(wish)
     }
 

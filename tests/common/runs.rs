@@ -6,7 +6,7 @@ use evenlight::{Bake, BakeOptions};
 use glam::{DVec3, Vec3};
 use std::ops::Range;
 
-/// Options under which a bake ends after its first round, whatever its error: 4 direct samples per texel and half,
+/// Options under which a bake ends after its first round, whatever its error: 2 direct samples per texel and half,
 /// at least 4096 photons per half. Nothing then depends on an estimate, and many bakes average to the truth.
 pub fn one_round(page: u32) -> BakeOptions {
     super::rooms::plain(page, 1e9)
