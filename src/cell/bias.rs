@@ -4,9 +4,6 @@ use super::tree::{Node, SurfaceTree};
 use super::{ElementFlux, Reconstruction};
 use rayon::prelude::*;
 
-/// Blocks are halved this often before their means are taken: the bias of a plane changes sign within its cell.
-const DEPTH: u32 = 2;
-
 /// Sums of a squared bias over surface.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
 pub struct Bias {
@@ -35,16 +32,18 @@ impl Bias {
 /// With R the reconstruction of a half and r its raw irradiance, both independent of the other half's,
 /// `(R_odd - r_odd) (R_even - r_even)` has the product of both biases as its expectation, however the cells were
 /// chosen: with sigma from the difference of the halves it adds up to the squared error of the mean. On single
-/// texels r is too noisy to see it, so means over blocks are taken. What averages out within one goes unseen.
+/// texels r is too noisy to see it, so means over blocks are taken: those of `found`, halved `depth` times, for the
+/// bias of a plane changes sign within its cell. What averages out within one goes unseen.
 pub fn bias(
     tree: &SurfaceTree,
     caught: [&ElementFlux; 2],
     found: &Reconstruction,
     groups: usize,
+    depth: u32,
     weight: impl Fn(usize) -> (f64, u32) + Sync,
 ) -> Vec<Bias> {
     let mut blocks: Vec<Node> = found.blocks.clone();
-    for _ in 0..DEPTH {
+    for _ in 0..depth {
         let halve = |n: Node| tree.children(&n).map_or_else(|| vec![n], |pair| pair.to_vec());
         blocks = blocks.into_iter().flat_map(halve).collect();
     }

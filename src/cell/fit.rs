@@ -42,9 +42,9 @@ struct Plane {
     gradient: [Vec3; 3],
 }
 
-/// Irradiance (lux) of every element, in the order of the tree. `flux` is that of one half, `cells` its cells,
+/// Irradiance (lux) of every element and the side of its cell [frame units], in the order of the tree. `flux` is that of one half, `cells` its cells,
 /// `noise` the variance of a cell's flux over its flux, for all channels.
-pub fn reconstruct(tree: &SurfaceTree, cells: &Cells, flux: &ElementFlux, noise: f64, accel: &Accel) -> Vec<Vec3> {
+pub fn reconstruct(tree: &SurfaceTree, cells: &Cells, flux: &ElementFlux, noise: f64, accel: &Accel) -> (Vec<Vec3>, Vec<f32>) {
     let moments: Vec<Cell> = cells.ranges.par_iter().map(|r| Cell::new(tree, &cells.order[r.clone()], flux)).collect();
     let index = CellIndex::new(&moments);
     let around: Vec<Vec<u32>> =
@@ -60,7 +60,11 @@ pub fn reconstruct(tree: &SurfaceTree, cells: &Cells, flux: &ElementFlux, noise:
         .collect();
     let mut out = vec![Vec3::ZERO; tree.elements.len()];
     cells.order.iter().zip(parts.iter().flatten()).for_each(|(&k, &e)| out[k as usize] = e);
-    out
+    let mut sides = vec![0.0; tree.elements.len()];
+    for (range, cell) in cells.ranges.iter().zip(&moments) {
+        cells.order[range.clone()].iter().for_each(|&k| sides[k as usize] = cell.side);
+    }
+    (out, sides)
 }
 
 impl Cell {

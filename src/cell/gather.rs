@@ -37,6 +37,8 @@ pub struct Gather<'a> {
     pub starts: &'a [StartTable; 2],
     /// Indirect irradiance (lux) of the open part of each texel of the map, of each half.
     pub indirect: [&'a [Vec3]; 2],
+    /// How far that is smoothed around each texel [frame units].
+    pub blur: [&'a [f32]; 2],
 }
 
 impl Gather<'_> {
@@ -118,12 +120,13 @@ impl Gather<'_> {
                     None => 1.0,
                 };
                 sum += carried * self.sent_directly(half, texel) * weight;
-                if texel < self.texels.mapped {
+                if texel < self.texels.mapped && hit.t >= self.blur[half][texel] {
                     sum += carried * albedo * self.indirect[half][texel];
                     reflected = Vec3::ZERO;
                 }
             }
-            // What has no place on the map has no light to look up: go on to where it gets its own.
+            // What has no place on the map has no light to look up, and what is near would be looked up too
+            // blurred: go on to where it gets its own.
             let (r, p) = (reflected.max_element(), passed.max_element());
             let pick = stream.unit() * (r + p).max(1.0);
             let position = world.position(hit.triangle, uv);

@@ -6,6 +6,7 @@
 use super::choose::Choice;
 use super::tree::{Element, Node, SurfaceTree};
 use crate::accel::{Accel, Ray, offset_origin};
+use glam::DVec3;
 use rayon::prelude::*;
 use std::ops::Range;
 
@@ -17,6 +18,9 @@ const LIFT_BENT: f32 = 0.42;
 
 /// Points of a cell that are tried against each other are one in each of its descendants of this generation.
 const GENERATION: u32 = 3;
+
+/// Cells that a speck may join: the first of the nearest with no wall between.
+const HOMES: usize = 8;
 
 /// The cells of one half: sets of elements, none of which has a wall through it.
 #[derive(Debug, Clone, Default)]
@@ -41,7 +45,7 @@ impl Cells {
         first.push(count);
         let mut parts: Vec<Vec<u32>> = parts.into_iter().flatten().collect();
         let middles: Vec<&Element> = parts.par_iter().map(|p| middle_of(p.iter().map(|&k| &tree.elements[k as usize]))).collect();
-        let homes: Vec<usize> = choice
+        let homes: Vec<Option<usize>> = choice
             .specks
             .par_iter()
             .map(|(speck, sibling)| {
@@ -49,11 +53,23 @@ impl Cells {
                 let within = |from: usize| choice.cells.partition_point(|n| n.elements.start < from);
                 let range = first[within(sibling.elements.start)]..first[within(sibling.elements.end)];
                 let distance = |i: &usize| middles[*i].position.distance_squared(at.position);
-                range.min_by(|a, b| distance(a).total_cmp(&distance(b))).expect("a sibling of a speck has cells")
+                let mut near: Vec<usize> = range.collect();
+                let by_distance = |a: &usize, b: &usize| distance(a).total_cmp(&distance(b)).then(a.cmp(b));
+                if near.len() > HOMES {
+                    near.select_nth_unstable_by(HOMES, by_distance);
+                    near.truncate(HOMES);
+                }
+                near.sort_unstable_by(by_distance);
+                near.into_iter().find(|&i| linked(at, middles[i], accel))
             })
             .collect();
         for ((speck, _), home) in choice.specks.iter().zip(homes) {
-            parts[home].extend(speck.elements.start as u32..speck.elements.end as u32);
+            let elements = speck.elements.start as u32..speck.elements.end as u32;
+            match home {
+                Some(i) => parts[i].extend(elements),
+                // Behind walls on all sides: alone after all.
+                None => parts.push(elements.collect()),
+            }
         }
         let mut cells = Cells { order: Vec::with_capacity(tree.elements.len()), ranges: Vec::new() };
         for elements in parts {
@@ -70,7 +86,7 @@ impl Cells {
     }
 }
 
-/// True if nothing stands between two points of a surface.
+/// True if nothing stands between two texels.
 pub fn linked(a: &Element, b: &Element, accel: &Accel) -> bool {
     let distance = a.position.distance(b.position);
     let lift = distance * (LIFT + LIFT_BENT * (1.0 - a.normal.dot(b.normal)).clamp(0.0, 1.0));
@@ -123,7 +139,7 @@ fn middle(tree: &SurfaceTree, range: Range<usize>) -> &Element {
 
 /// The element nearest to the middle of some: at least one.
 pub fn middle_of<'e>(elements: impl Iterator<Item = &'e Element> + Clone) -> &'e Element {
-    let (mut sum, mut area) = (glam::DVec3::ZERO, 0.0);
+    let (mut sum, mut area) = (DVec3::ZERO, 0.0);
     for e in elements.clone() {
         sum += f64::from(e.area) * e.position.as_dvec3();
         area += f64::from(e.area);

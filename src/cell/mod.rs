@@ -29,6 +29,8 @@ pub type ElementFlux = Vec<[f32; 3]>;
 pub struct Reconstruction {
     /// Irradiance (lux) of each element, in the order of the tree.
     pub values: [Vec<Vec3>; 2],
+    /// Side of the cell of each element [frame units]: how far around it is smoothed.
+    pub sides: [Vec<f32>; 2],
     /// Nodes with no border of a cell inside, of either half: what is in one of them errs together.
     pub blocks: Vec<Node>,
     /// Number of cells.
@@ -44,7 +46,7 @@ impl Reconstruction {
         let dispersion = dispersion(tree, caught, photon);
         let chosen = caught.map(|flux| choose(tree, flux, photon, dispersion));
         let cells = [0, 1].map(|h| Cells::new(tree, &chosen[h], accel));
-        let values = [0, 1].map(|h| reconstruct(tree, &cells[h], caught[h], photon * dispersion, accel));
+        let [odd, even] = [0, 1].map(|h| reconstruct(tree, &cells[h], caught[h], photon * dispersion, accel));
         let mut starts: Vec<usize> = chosen.iter().flat_map(|c| c.cells.iter().map(|n| n.elements.start)).collect();
         starts.sort_unstable();
         let border_inside = |n: &Node| {
@@ -52,7 +54,7 @@ impl Reconstruction {
             starts.get(after).is_some_and(|&s| s < n.elements.end)
         };
         let blocks = tree.cut(|n| !border_inside(n));
-        Reconstruction { values, blocks, cells: cells.map(|c| c.len()) }
+        Reconstruction { values: [odd.0, even.0], sides: [odd.1, even.1], blocks, cells: cells.map(|c| c.len()) }
     }
 
     /// Every element by its own photons alone: unbiased, and as noisy as that.
@@ -60,6 +62,6 @@ impl Reconstruction {
         let values = caught
             .map(|flux| tree.elements.iter().zip(flux).map(|(e, f)| Vec3::from(*f) / e.area).collect::<Vec<Vec3>>());
         let blocks = tree.cut(|n| n.elements.len() <= RAW_BLOCK);
-        Reconstruction { values, blocks, cells: [tree.elements.len(); 2] }
+        Reconstruction { values, sides: [0, 1].map(|_| vec![0.0; tree.elements.len()]), blocks, cells: [tree.elements.len(); 2] }
     }
 }

@@ -4,7 +4,9 @@
 //! small boxes are all split the same way: first by normal, until what is left faces one way, then in the
 //! middle of the longest side, or in a gap near the middle, where no surface is.
 
+use crate::accel::{Accel, Ray, offset_origin};
 use crate::atlas::{TexelSampler, Texels};
+use crate::sampling::orthonormal_basis;
 use crate::scene::World;
 use glam::Vec3;
 use rayon::prelude::*;
@@ -26,6 +28,12 @@ pub struct Element {
 /// A node with more spread of normals than this, along any axis, is split by normal: 0.7 parts the sides of a
 /// box but not the facets of a smooth shape of 40 degrees.
 const MAX_NORMAL_EXTENT: f32 = 0.7;
+
+/// Of the side of a whole texel; its border is at 0.5.
+const REACH: f32 = 0.4;
+
+/// Coverage from which on a texel is whole.
+const WHOLE: f32 = 0.999;
 
 /// Subtrees of more elements than this are worked on in parallel.
 const PARALLEL: usize = 4096;
@@ -53,20 +61,31 @@ pub struct Node {
 
 impl SurfaceTree {
     /// The tree over the texels of the map with open surface. `open` is the open share of each texel's area.
-    pub fn new(world: &World, texels: &Texels, open: &[f32]) -> SurfaceTree {
-        let mut elements: Vec<Element> = (0..texels.mapped)
+    ///
+    /// A texel that a wall stands on has light of both sides and belongs to neither: such texels have the second
+    /// child of the root for themselves.
+    pub fn new(world: &World, texels: &Texels, open: &[f32], accel: &Accel) -> SurfaceTree {
+        let elements: Vec<(bool, Element)> = (0..texels.mapped)
             .into_par_iter()
             .map_init(TexelSampler::default, |sampler, i| {
                 let t = &texels.texels[i];
                 sampler.load(texels, i);
                 let (position, normal) = sampler.centre(world);
                 let normal = if t.back { -normal } else { normal };
-                Element { position, normal, area: t.area * open[i], texel: i as u32 }
+                let e = Element { position, normal, area: t.area * open[i], texel: i as u32 };
+                // Where a border cuts a texel it is not known how far it reaches.
+                (t.coverage > WHOLE && open[i] == 1.0 && astride(&e, accel), e)
             })
-            .filter(|e| e.area > 0.0)
+            .filter(|(_, e)| e.area > 0.0)
             .collect();
+        let (walled, mut elements): (Vec<_>, Vec<_>) = elements.into_iter().partition(|(astride, _)| *astride);
+        let free = elements.len();
+        elements.extend(walled);
+        let mut elements: Vec<Element> = elements.into_iter().map(|(_, e)| e).collect();
         let mut middle = vec![0; (2 * elements.len()).saturating_sub(1)];
-        if !elements.is_empty() {
+        if free > 0 && free < elements.len() {
+            split(&mut elements, &mut middle, 0, free);
+        } else if !elements.is_empty() {
             build(&mut elements, &mut middle, 0);
         }
         SurfaceTree { elements, middle }
@@ -130,17 +149,35 @@ impl SurfaceTree {
     }
 }
 
-/// Splits `elements`, which begin at `start` of all, and writes their nodes to `middle`.
+/// Whether something stands on the middle of a texel, which reaches at least [`REACH`] of its side to all sides.
+fn astride(e: &Element, accel: &Accel) -> bool {
+    let middle = offset_origin(e.position, e.normal, 1.0);
+    let reach = REACH * e.area.sqrt();
+    let (t, b) = orthonormal_basis(e.normal);
+    let lifted = middle + e.normal * reach * 0.1;
+    [t, b].iter().any(|&axis| {
+        accel.occluded(&Ray { origin: lifted - axis * reach, direction: axis * (2.0 * reach), t_max: 1.0 })
+    })
+}
+
+/// Writes the nodes of `elements`, which begin at `start` of all, to `middle`.
 fn build(elements: &mut [Element], middle: &mut [u32], start: u32) {
-    let n = elements.len();
-    let m = if n > 1 { partition(elements) } else { 0 };
-    middle[0] = start + m as u32;
-    if n <= 1 {
-        return;
+    match elements.len() {
+        1 => middle[0] = start,
+        _ => {
+            let m = partition(elements);
+            split(elements, middle, start, m);
+        }
     }
+}
+
+/// The same where the first child has the first `m` elements.
+fn split(elements: &mut [Element], middle: &mut [u32], start: u32, m: usize) {
+    let n = elements.len();
+    let end = start + m as u32;
+    middle[0] = end;
     let (a, b) = elements.split_at_mut(m);
     let (left, right) = middle[1..].split_at_mut(2 * m - 1);
-    let end = start + m as u32;
     if n > PARALLEL {
         rayon::join(|| build(a, left, start), || build(b, right, end));
     } else {

@@ -9,6 +9,12 @@ use crate::report::percentile_95;
 use glam::Vec3;
 use rayon::prelude::*;
 
+/// Bias is looked for in sixteenths of a cell: in quarters, a third of its square goes unseen.
+const BIAS_DEPTH: u32 = 4;
+
+/// ... and of a mesh, which has few cells, in quarters, where it drowns less in noise.
+const MESH_BIAS_DEPTH: u32 = 2;
+
 /// Texels that gather between two looks at the clock.
 const GATHER_CHUNK: usize = 4096;
 
@@ -33,10 +39,12 @@ impl Solver<'_, '_> {
             let share = if whole { f64::from(open[i]).powi(2) } else { 1.0 };
             (weights.weight[i] * share, weights.instance[i])
         };
-        let mut biases = match self.options.smoothing {
-            Smoothing::Cells => bias(tree, [&caught[0], &caught[1]], &found, instances, weight),
+        let biases = |depth: u32| match self.options.smoothing {
+            Smoothing::Cells => bias(tree, [&caught[0], &caught[1]], &found, instances, depth, weight),
             Smoothing::None => vec![Bias::default(); instances + 1],
         };
+        let whole_bias = biases(BIAS_DEPTH)[instances];
+        let mut biases = biases(MESH_BIAS_DEPTH);
         // What is gathered is not smoothed.
         let gathered = biases.iter_mut().zip(&self.gathered).filter(|(_, n)| **n > 0);
         gathered.for_each(|(b, _)| *b = Bias::default());
@@ -47,7 +55,7 @@ impl Solver<'_, '_> {
             weights: &weights,
             tree,
             blocks: &found.blocks,
-            bias: biases[instances],
+            bias: whole_bias,
         });
         let (target, mesh_target) = (self.options.target_percent, self.options.mesh_target());
         let (meshes, area_within_target) =
@@ -159,7 +167,8 @@ impl Solver<'_, '_> {
             .filter(|(_, e)| samples(e.texel) > 0)
             .map(|(k, e)| (k, (e.texel, samples(e.texel))))
             .unzip();
-        let indirect = [0, 1].map(|h| scattered(tree.elements.iter().zip(&found.values[h]), open.len()));
+        let indirect = [0, 1].map(|h| scattered(&tree.elements, &found.values[h], open.len()));
+        let blur = [0, 1].map(|h| scattered(&tree.elements, &found.sides[h], open.len()));
         let gather = Gather {
             seed: self.options.seed,
             texels,
@@ -168,6 +177,7 @@ impl Solver<'_, '_> {
             direct: &self.direct,
             starts,
             indirect: [&indirect[0], &indirect[1]],
+            blur: [&blur[0], &blur[1]],
         };
         for (places, wanted) in places.chunks(GATHER_CHUNK).zip(wanted.chunks(GATHER_CHUNK)) {
             for (h, values) in found.values.iter_mut().enumerate() {
@@ -186,7 +196,7 @@ impl Solver<'_, '_> {
         let LightPath { tree, open, .. } = self.path;
         let whole = self.options.texel_value == TexelValue::Mean;
         let [odd, even] = [0, 1].map(|h| {
-            let mut out = scattered(tree.elements.iter().zip(&found.values[h]), open.len());
+            let mut out = scattered(&tree.elements, &found.values[h], open.len());
             if whole {
                 out.iter_mut().zip(open).for_each(|(e, open)| *e *= *open);
             }
@@ -230,8 +240,8 @@ fn per_open(open: f32) -> f32 {
 }
 
 /// Values of elements at the places of their texels.
-fn scattered<'e>(values: impl Iterator<Item = (&'e Element, &'e Vec3)>, texels: usize) -> Vec<Vec3> {
-    let mut out = vec![Vec3::ZERO; texels];
-    values.for_each(|(e, v)| out[e.texel as usize] = *v);
+fn scattered<T: Copy + Default>(elements: &[Element], values: &[T], texels: usize) -> Vec<T> {
+    let mut out = vec![T::default(); texels];
+    elements.iter().zip(values).for_each(|(e, v)| out[e.texel as usize] = *v);
     out
 }
