@@ -101,7 +101,8 @@ fn a_bake_that_meets_its_targets_writes_everything_and_returns_0() {
 fn the_exr_can_be_read_back() {
     use exr::prelude::*;
     let folder = temporary();
-    let output = bake(folder.path(), "furnace.glb", &["--target-percent", "0.01", "--max-photons", "2e5", "--no-preview"]);
+    let output =
+        bake(folder.path(), "furnace.glb", &["--target-percent", "0.01", "--max-photons", "2e5", "--no-preview"]);
     expect(&output, 3);
     assert!(!files(&folder.path().join("out")).iter().any(|f| f.ends_with(".png")));
     let image = read_first_rgba_layer_from_file(

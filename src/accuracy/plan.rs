@@ -101,7 +101,8 @@ pub fn plan_meshes(missed: &[Missed], spared: usize, target: f64, photon_cost: f
 
     // Photon growth that each mesh would need, the largest first: those above a line gather, the rest wait for
     // photons to grow up to it.
-    let growth = |m: &Missed| if m.gathered > 0 { f64::INFINITY } else { libm::pow(m.indirect / SHARE, 1.0 / INDIRECT_FALL) };
+    let growth =
+        |m: &Missed| if m.gathered > 0 { f64::INFINITY } else { libm::pow(m.indirect / SHARE, 1.0 / INDIRECT_FALL) };
     let mut by_growth: Vec<(f64, f64, &Missed)> = meshes
         .iter()
         .filter(|m| m.indirect > SHARE && !(m.gathered > 0 && f64::from(m.gathered) >= *GATHER_RANGE.end()))

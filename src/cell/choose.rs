@@ -45,11 +45,8 @@ pub fn choose(tree: &SurfaceTree, flux: &ElementFlux, photon: f64, dispersion: f
     let marks: Vec<AtomicU8> = (0..tree.len()).map(|_| AtomicU8::new(WHOLE)).collect();
     let leaf = |k: usize| Sum { area: f64::from(tree.elements[k].area), flux: flux[k].map(f64::from), gain: 0.0 };
     let join = |node: &Node, a: Sum, b: Sum| {
-        let sum = Sum {
-            area: a.area + b.area,
-            flux: std::array::from_fn(|c| a.flux[c] + b.flux[c]),
-            gain: a.gain + b.gain,
-        };
+        let sum =
+            Sum { area: a.area + b.area, flux: std::array::from_fn(|c| a.flux[c] + b.flux[c]), gain: a.gain + b.gain };
         let photons = |s: &Sum| s.flux.iter().fold(0.0, |m: f64, &f| m.max(f)) / photon;
         let small = |s: &Sum| photons(s).max(photons(&sum) * s.area / sum.area) < LEAST_PHOTONS;
         // To split off a speck gains nothing and costs nothing: what is below the rest decides.

@@ -9,7 +9,7 @@
 
 use crate::accel::{Ray, offset_origin};
 use crate::atlas::{TexelSampler, Texels};
-use crate::light::{Direct, Receiver, START_SLOTS, Visibility};
+use crate::light::{Direct, Emitters, Receiver, SAMPLE_DIMENSIONS, START_SLOTS, Visibility};
 use crate::photon::StartTable;
 use crate::sampling::{Stream, cosine_hemisphere, hash_mix, hash_seed, sobol, unit_f32};
 use crate::scene::SurfaceFlags;
@@ -19,6 +19,9 @@ use std::f32::consts::PI;
 
 /// A ray ends after this many surfaces that only pass or have no place on the map.
 const MAX_SURFACES: u32 = 64;
+
+/// Direct light is not looked up but sampled on texels nearer than this many of their sides.
+const NEAR: f32 = 4.0;
 
 /// Where light is looked up.
 #[derive(Debug, Clone, Copy)]
@@ -33,6 +36,8 @@ pub struct Gather<'a> {
     pub visibility: &'a Visibility<'a>,
     /// Direct light of all texels.
     pub direct: &'a Direct,
+    /// What it comes from, for points nearer than texels can tell.
+    pub emitters: &'a Emitters,
     /// Where direct light leaves from, of each half.
     pub starts: &'a [StartTable; 2],
     /// Indirect irradiance (lux) of the open part of each texel of the map, of each half.
@@ -104,8 +109,11 @@ impl Gather<'_> {
             }
             let surface = world.surface(hit.triangle, uv);
             let albedo = if reflects { surface.albedo * surface.alpha } else { Vec3::ZERO };
-            let passed =
-                if passes { Vec3::splat(1.0 - surface.alpha) + surface.transmittance * surface.alpha } else { Vec3::ZERO };
+            let passed = if passes {
+                Vec3::splat(1.0 - surface.alpha) + surface.transmittance * surface.alpha
+            } else {
+                Vec3::ZERO
+            };
             let texel = if reflects { self.texels.at(hit.triangle, back, uv) } else { None };
             let mut reflected = albedo;
             if let Some(texel) = texel {
@@ -119,7 +127,16 @@ impl Gather<'_> {
                     }
                     None => 1.0,
                 };
-                sum += carried * self.sent_directly(half, texel) * weight;
+                // Half a shadowed texel is not as bright as its mean.
+                let near = hit.t < NEAR * self.texels.texels[texel].area.sqrt();
+                let sent = if near {
+                    let at = Receiver::new(world, hit.triangle, uv, back, false);
+                    let u: [f32; SAMPLE_DIMENSIONS] = std::array::from_fn(|_| stream.unit());
+                    albedo * self.emitters.sample(&at, self.visibility, |d| u[d], stream, rays).transported
+                } else {
+                    self.sent_directly(half, texel)
+                };
+                sum += carried * sent * weight;
                 if texel < self.texels.mapped && hit.t >= self.blur[half][texel] {
                     sum += carried * albedo * self.indirect[half][texel];
                     reflected = Vec3::ZERO;

@@ -44,7 +44,8 @@ impl Cells {
         }
         first.push(count);
         let mut parts: Vec<Vec<u32>> = parts.into_iter().flatten().collect();
-        let middles: Vec<&Element> = parts.par_iter().map(|p| middle_of(p.iter().map(|&k| &tree.elements[k as usize]))).collect();
+        let middles: Vec<&Element> =
+            parts.par_iter().map(|p| middle_of(p.iter().map(|&k| &tree.elements[k as usize]))).collect();
         let homes: Vec<Option<usize>> = choice
             .specks
             .par_iter()

@@ -62,6 +62,11 @@ impl Reconstruction {
         let values = caught
             .map(|flux| tree.elements.iter().zip(flux).map(|(e, f)| Vec3::from(*f) / e.area).collect::<Vec<Vec3>>());
         let blocks = tree.cut(|n| n.elements.len() <= RAW_BLOCK);
-        Reconstruction { values, sides: [0, 1].map(|_| vec![0.0; tree.elements.len()]), blocks, cells: [tree.elements.len(); 2] }
+        Reconstruction {
+            values,
+            sides: [0, 1].map(|_| vec![0.0; tree.elements.len()]),
+            blocks,
+            cells: [tree.elements.len(); 2],
+        }
     }
 }

@@ -3,7 +3,8 @@
 use clap::{Args, Parser, Subcommand};
 use evenlight::BakeError;
 use evenlight::options::{
-    BakeOptions, Density, DoubleSided, Lights, Normals, Quantity, SkySource, Sun, Smoothing, TexelValue, Unwrapper, UvSource,
+    BakeOptions, Density, DoubleSided, Lights, Normals, Quantity, SkySource, Smoothing, Sun, TexelValue, Unwrapper,
+    UvSource,
 };
 use evenlight::output::lightmap_exr::Layer;
 use glam::Vec3;

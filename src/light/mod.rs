@@ -16,7 +16,7 @@ mod spherical;
 mod tree;
 mod visibility;
 
-pub use emitters::{Emitters, LightSettings, PUNCTUAL_LOOP_LIMIT};
+pub use emitters::{Emitters, LightSettings, PUNCTUAL_LOOP_LIMIT, SAMPLE_DIMENSIONS};
 pub use gather::{Direct, START_SLOTS, StartSlot};
 pub use lighting::Lighting;
 pub use open::open_shares;

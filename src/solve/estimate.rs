@@ -58,8 +58,7 @@ impl Solver<'_, '_> {
             bias: whole_bias,
         });
         let (target, mesh_target) = (self.options.target_percent, self.options.mesh_target());
-        let (meshes, area_within_target) =
-            mesh_errors(visibility.world, &total, &weights, &biases, error.mean, target);
+        let (meshes, area_within_target) = mesh_errors(visibility.world, &total, &weights, &biases, error.mean, target);
         let mesh_percent = percentile_95(&meshes);
         let split = self.squares(&direct, &indirect, &weights, &biases);
         let squares = split.iter().fold((0.0, 0.0), |s, p| (s.0 + p.0, s.1 + p.1));
@@ -105,13 +104,7 @@ impl Solver<'_, '_> {
     ///
     /// Photons start at direct samples: how far the start fluxes of the halves are apart is noise of all indirect
     /// light that only direct samples lower.
-    fn squares(
-        &self,
-        direct: &Halves,
-        indirect: &Halves,
-        weights: &TexelWeights,
-        biases: &[Bias],
-    ) -> Vec<(f64, f64)> {
+    fn squares(&self, direct: &Halves, indirect: &Halves, weights: &TexelWeights, biases: &[Bias]) -> Vec<(f64, f64)> {
         let [odd, even] = self.start_totals;
         let start_noise = if odd + even > 0.0 { ((odd - even) / (odd + even)).powi(2) } else { 0.0 };
         let mut sums = vec![[0f64; 3]; biases.len() - 1];
@@ -131,7 +124,12 @@ impl Solver<'_, '_> {
     fn direct_halves(&self) -> Halves {
         let (direct, open) = (&self.direct, self.path.open);
         let whole = self.options.texel_value == TexelValue::Mean;
-        let half = |h| (0..open.len()).into_par_iter().map(|i| direct.stored(h, i) * if whole { 1.0 } else { per_open(open[i]) }).collect();
+        let half = |h| {
+            (0..open.len())
+                .into_par_iter()
+                .map(|i| direct.stored(h, i) * if whole { 1.0 } else { per_open(open[i]) })
+                .collect()
+        };
         Halves { odd: half(0), even: half(1) }
     }
 
@@ -148,7 +146,8 @@ impl Solver<'_, '_> {
     /// Irradiance of the elements from what they caught.
     fn reconstruct(&self, caught: &[ElementFlux; 2]) -> Reconstruction {
         let LightPath { tree, visibility, .. } = self.path;
-        let (caught, photon) = ([&caught[0], &caught[1]], self.start_totals[0].max(self.start_totals[1]) / self.photons.max(1) as f64);
+        let (caught, photon) =
+            ([&caught[0], &caught[1]], self.start_totals[0].max(self.start_totals[1]) / self.photons.max(1) as f64);
         match self.options.smoothing {
             Smoothing::Cells => Reconstruction::new(tree, caught, photon, visibility.accel),
             Smoothing::None => Reconstruction::raw(tree, caught),
@@ -175,6 +174,7 @@ impl Solver<'_, '_> {
             open,
             visibility,
             direct: &self.direct,
+            emitters: self.path.emitters,
             starts,
             indirect: [&indirect[0], &indirect[1]],
             blur: [&blur[0], &blur[1]],

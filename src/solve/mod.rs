@@ -238,7 +238,8 @@ impl Solver<'_, '_> {
                 self.direct.extend_all(FIRST_SAMPLES, self.options.seed, smooth, texels, (emitters, visibility));
                 left = 0;
             } else {
-                let counts = |texel: usize| self.weights.instance.get(texel).map_or(1.0, |&i| self.importance[i as usize]);
+                let counts =
+                    |texel: usize| self.weights.instance.get(texel).map_or(1.0, |&i| self.importance[i as usize]);
                 let more = self.direct.allocate(budget, texels, counts);
                 let counts = |half: usize, texel: usize| more[half][texel];
                 self.direct.extend(&counts, self.options.seed, smooth, texels, (emitters, visibility));
