@@ -6,7 +6,8 @@
 //! glTF -> scene -> atlas (charts, texels) -> accel
 //!      -> light: direct light per texel, two halves
 //!      -> photon: starts at lit surface, walks, deposits (triangle, barycentric, flux)
-//!      -> accuracy: error from the halves -> { more | done }
+//!      -> cell: cells, planes over them, gathered texels, two halves
+//!      -> accuracy: noise and bias from the halves -> { more | done }
 //!      -> lightmap -> output: EXR, GLB, manifest, report, previews
 //! ```
 //!

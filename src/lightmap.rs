@@ -1,4 +1,4 @@
-//! 6. The finished maps in memory.
+//! 8. The finished maps in memory.
 
 mod gutter;
 

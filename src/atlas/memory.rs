@@ -10,8 +10,8 @@ const BYTES_PER_CELL: u64 = 8 + 60;
 /// Bytes per triangle: world corners, normals, grid placement, hierarchy.
 const BYTES_PER_TRIANGLE: u64 = 250;
 
-/// Bytes per covered cell: texel, pieces, both halves of direct light and photons, estimates.
-const BYTES_PER_TEXEL: u64 = 420;
+/// Bytes per covered cell: texel, pieces, both halves of direct light and photons, surface tree, estimates (measured).
+const BYTES_PER_TEXEL: u64 = 900;
 
 /// Memory that a bake of `scene` on `atlas` takes at most (bytes), taking every cell as covered.
 pub fn memory_bytes(scene: &Scene, atlas: &Atlas) -> u64 {

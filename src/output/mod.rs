@@ -1,4 +1,4 @@
-//! 7. Files: lightmaps, the scene with its lightmap UVs, manifest, report, previews.
+//! 9. Files: lightmaps, the scene with its lightmap UVs, manifest, report, previews.
 //!
 //! In: a finished bake. Out: files, each written beside its final name and renamed when complete. The only
 //! place below the command line that writes.
