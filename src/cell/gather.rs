@@ -137,13 +137,14 @@ impl Gather<'_> {
                     self.sent_directly(half, texel)
                 };
                 sum += carried * sent * weight;
-                if texel < self.texels.mapped && hit.t >= self.blur[half][texel] {
+                // What is near would be looked up too blurred: one bounce more, and it no longer matters.
+                let mapped = texel < self.texels.mapped;
+                if mapped && (straight.is_none() || hit.t >= self.blur[half][texel]) {
                     sum += carried * albedo * self.indirect[half][texel];
                     reflected = Vec3::ZERO;
                 }
             }
-            // What has no place on the map has no light to look up, and what is near would be looked up too
-            // blurred: go on to where it gets its own.
+            // What has no place on the map has no light to look up: go on to where it gets its own.
             let (r, p) = (reflected.max_element(), passed.max_element());
             let pick = stream.unit() * (r + p).max(1.0);
             let position = world.position(hit.triangle, uv);

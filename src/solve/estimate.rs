@@ -9,6 +9,9 @@ use crate::report::percentile_95;
 use glam::Vec3;
 use rayon::prelude::*;
 
+/// Light is gathered anew once there are so many times the photons.
+const GATHER_AGAIN: u64 = 4;
+
 /// Bias is looked for in sixteenths of a cell: in quarters, a third of its square goes unseen.
 const BIAS_DEPTH: u32 = 4;
 
@@ -46,7 +49,7 @@ impl Solver<'_, '_> {
         let whole_bias = biases(BIAS_DEPTH)[instances];
         let mut biases = biases(MESH_BIAS_DEPTH);
         // What is gathered is not smoothed.
-        let gathered = biases.iter_mut().zip(&self.gathered).filter(|(_, n)| **n > 0);
+        let gathered = biases.iter_mut().zip(&self.gathered_at).filter(|(_, at)| at.0 > 0);
         gathered.for_each(|(b, _)| *b = Bias::default());
         let error = texel_error(&Known {
             direct: &direct,
@@ -91,7 +94,7 @@ impl Solver<'_, '_> {
             direct_samples: self.direct.samples(),
             direct_rays: self.direct.rays(),
             gather_rays: self.gather_rays,
-            gathered_meshes: self.gathered.iter().filter(|&&n| n > 0).count(),
+            gathered_meshes: self.gathered_at.iter().filter(|at| at.0 > 0).count(),
             ledger: self.ledger,
             back_flux: self.bins.back_flux(),
             unit: self.flux.map_or(0.0, |f| f.unit),
@@ -158,14 +161,24 @@ impl Solver<'_, '_> {
     fn gather(&mut self, found: &mut Reconstruction) {
         let LightPath { texels, tree, open, visibility, .. } = self.path;
         let Some(starts) = self.starts.as_ref().filter(|_| self.gathered.iter().any(|&n| n > 0)) else { return };
-        let samples = |texel: u32| self.gathered[self.weights.instance[texel as usize] as usize];
-        let (places, wanted): (Vec<usize>, Vec<(u32, u32)>) = tree
+        // Gathered once, light stays as it is until more rays are asked for or the map it came from is much better.
+        let fresh: Vec<(usize, (u32, u64))> = (0..self.gathered.len())
+            .filter(|&i| self.gathered[i] > 0)
+            .map(|i| (i, (self.gathered[i], self.photons)))
+            .filter(|&(i, (rays, photons))| {
+                let (had, at) = self.gathered_at[i];
+                had != rays || photons >= GATHER_AGAIN * at
+            })
+            .collect();
+        let mut again = vec![false; self.gathered.len()];
+        fresh.iter().for_each(|f| again[f.0] = true);
+        let instance = |texel: u32| self.weights.instance[texel as usize] as usize;
+        let wanted: Vec<(u32, u32)> = tree
             .elements
             .iter()
-            .enumerate()
-            .filter(|(_, e)| samples(e.texel) > 0)
-            .map(|(k, e)| (k, (e.texel, samples(e.texel))))
-            .unzip();
+            .filter(|e| again[instance(e.texel)])
+            .map(|e| (e.texel, self.gathered[instance(e.texel)]))
+            .collect();
         let indirect = [0, 1].map(|h| scattered(&tree.elements, &found.values[h], open.len()));
         let blur = [0, 1].map(|h| scattered(&tree.elements, &found.sides[h], open.len()));
         let gather = Gather {
@@ -179,14 +192,20 @@ impl Solver<'_, '_> {
             indirect: [&indirect[0], &indirect[1]],
             blur: [&blur[0], &blur[1]],
         };
-        for (places, wanted) in places.chunks(GATHER_CHUNK).zip(wanted.chunks(GATHER_CHUNK)) {
-            for (h, values) in found.values.iter_mut().enumerate() {
-                let (light, rays) = gather.texels(h, wanted);
-                places.iter().zip(light).for_each(|(&k, e)| values[k] = e);
-                self.gather_rays += rays;
+        for wanted in wanted.chunks(GATHER_CHUNK) {
+            let light = [0, 1].map(|h| gather.texels(h, wanted));
+            for (j, &(texel, _)) in wanted.iter().enumerate() {
+                self.kept.insert(texel, [light[0].0[j], light[1].0[j]]);
             }
+            self.gather_rays += light[0].1 + light[1].1;
             if self.out_of_time() {
-                break;
+                return;
+            }
+        }
+        fresh.iter().for_each(|&(instance, state)| self.gathered_at[instance] = state);
+        for (k, e) in tree.elements.iter().enumerate() {
+            if let Some(light) = self.kept.get(&e.texel) {
+                (0..2).for_each(|h| found.values[h][k] = light[h]);
             }
         }
     }

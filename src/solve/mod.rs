@@ -16,6 +16,8 @@ use crate::observer::{Observer, Progress};
 use crate::options::{BakeOptions, Normals};
 use crate::photon::{Bins, EnergyLedger, Flux, Shooting, StartTable};
 use crate::report::HistoryEntry;
+use glam::Vec3;
+use std::collections::HashMap;
 use std::time::Instant;
 
 /// Direct samples per texel and half of the first round.
@@ -125,6 +127,10 @@ struct Solver<'a, 'o> {
     /// Gather rays of each texel and half, per instance; 0 where photons do.
     gathered: Vec<u32>,
     gather_rays: u64,
+    /// Gather rays and photons at which each instance gathered last.
+    gathered_at: Vec<(u32, u64)>,
+    /// Gathered indirect light (lux) of both halves by texel.
+    kept: HashMap<u32, [Vec3; 2]>,
     /// How much more the direct light of each instance counts than its area says.
     importance: Vec<f32>,
     /// Texels of each instance on the map.
@@ -165,6 +171,8 @@ pub fn solve(
         starts: None,
         gathered: vec![0; instances],
         gather_rays: 0,
+        gathered_at: vec![(0, 0); instances],
+        kept: HashMap::new(),
         importance: vec![1.0; instances],
         texels_of,
         photons: 0,
