@@ -81,48 +81,53 @@ const GATHER_SCATTER: f64 = 2.0;
 const GATHER_RANGE: std::ops::RangeInclusive<f64> = 16.0..=16384.0;
 const GATHER_GROWTH: f64 = 8.0;
 
+/// From this many times the first gather rays on, more of them are not what is missing.
+const SATED: f64 = 4.0;
+
+/// Light is gathered anew once there are so many times the photons.
+pub const GATHER_AGAIN: u64 = 4;
+
 /// The cheapest way for all of `missed` but the `spared` dearest: more photons serve all, gathering serves one
 /// mesh for rays in proportion to its texels. `target` is the meshes' target as a fraction.
 pub fn plan_meshes(missed: &[Missed], spared: usize, target: f64, photon_cost: f64) -> MeshPlan {
     /// Half of the squared target for direct light, half for indirect light.
     const SHARE: f64 = 0.5;
-    let samples = |m: &Missed| {
-        let wish = if m.gathered > 0 {
-            f64::from(m.gathered) * (m.indirect / SHARE * 1.1).min(GATHER_GROWTH)
-        } else {
-            GATHER_SCATTER / (2.0 * SHARE * target * target)
-        };
-        wish.clamp(*GATHER_RANGE.start(), *GATHER_RANGE.end()).ceil()
+    let first = (GATHER_SCATTER / (2.0 * SHARE * target * target)).clamp(*GATHER_RANGE.start(), *GATHER_RANGE.end());
+    let samples = |m: &Missed| match m.gathered {
+        0 => first.ceil(),
+        n => (f64::from(n) * (m.indirect / SHARE * 1.1).min(GATHER_GROWTH)).min(*GATHER_RANGE.end()).ceil(),
     };
     let cost = |m: &Missed| samples(m) * m.texels as f64 * RAYS_PER_SAMPLE;
     let mut meshes: Vec<&Missed> = missed.iter().collect();
     meshes.sort_by(|a, b| cost(b).total_cmp(&cost(a)).then(a.instance.cmp(&b.instance)));
     let meshes = &meshes[spared.min(meshes.len())..];
+    let dim = || meshes.iter().copied().filter(|m| m.indirect > SHARE);
+    let photons_for = |m: &Missed| libm::pow(m.indirect / SHARE, 1.0 / INDIRECT_FALL);
 
-    // Photon growth that each mesh would need, the largest first: those above a line gather, the rest wait for
-    // photons to grow up to it.
-    let growth =
-        |m: &Missed| if m.gathered > 0 { f64::INFINITY } else { libm::pow(m.indirect / SHARE, 1.0 / INDIRECT_FALL) };
-    let mut by_growth: Vec<(f64, f64, &Missed)> = meshes
-        .iter()
-        .filter(|m| m.indirect > SHARE && !(m.gathered > 0 && f64::from(m.gathered) >= *GATHER_RANGE.end()))
-        .map(|m| (growth(m), cost(m), *m))
-        .collect();
-    by_growth.sort_by(|a, b| b.0.total_cmp(&a.0).then(a.2.instance.cmp(&b.2.instance)));
+    // Where many gather rays do not help, what they look up is too noisy.
+    let sated = |m: &&Missed| f64::from(m.gathered) >= SATED * first;
+    let least = dim().filter(sated).map(|m| photons_for(m).max(GATHER_AGAIN as f64)).fold(1.0, f64::max);
+    let hungry = dim().filter(|m| m.gathered > 0 && !sated(m));
+
+    // Photon growth that each of the others would need, the largest first: those above a line gather, the rest
+    // wait for photons to grow up to it.
+    let mut by_growth: Vec<(f64, &Missed)> =
+        dim().filter(|m| m.gathered == 0).map(|m| (photons_for(m).max(least), m)).collect();
+    by_growth.sort_by(|a, b| b.0.total_cmp(&a.0).then(a.1.instance.cmp(&b.1.instance)));
+    let growth = |k: usize| by_growth.get(k).map_or(least, |g| g.0);
     let (mut best, mut gathered_cost) = ((f64::INFINITY, 0), 0.0);
     for k in 0..=by_growth.len() {
-        let photons = by_growth.get(k).map_or(1.0, |g| g.0.max(1.0));
-        let total = gathered_cost + photon_cost * (photons - 1.0);
+        let total = gathered_cost + photon_cost * (growth(k) - 1.0);
         if total < best.0 {
             best = (total, k);
         }
-        gathered_cost += by_growth.get(k).map_or(0.0, |g| g.1);
+        gathered_cost += by_growth.get(k).map_or(0.0, |g| cost(g.1));
     }
-    let k = best.1;
+    let new = by_growth[..best.1].iter().map(|g| g.1);
     MeshPlan {
-        photons: by_growth.get(k).map_or(1.0, |g| g.0.max(1.0)),
+        photons: growth(best.1),
         direct: meshes.iter().filter(|m| m.direct > SHARE).map(|m| (m.instance, m.direct / SHARE)).collect(),
-        gather: by_growth[..k].iter().map(|g| (g.2.instance, samples(g.2) as u32)).collect(),
+        gather: new.chain(hungry).map(|m| (m.instance, samples(m) as u32)).collect(),
     }
 }
 

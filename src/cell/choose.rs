@@ -2,7 +2,7 @@
 
 use super::ElementFlux;
 use super::tree::{Node, SurfaceTree};
-use std::sync::atomic::{AtomicU8, Ordering::Relaxed};
+use std::sync::atomic::{AtomicU8, AtomicU32, Ordering::Relaxed};
 
 /// How much more than the mean gain of pure noise a split must gain to be kept. At 1 this is Mallows' Cp; more,
 /// since the best of many trees is looked for.
@@ -15,11 +15,19 @@ const LEAST_PHOTONS: f64 = 8.0;
 /// Photons in a block of [`dispersion`], both halves and all channels together.
 const BLOCK_PHOTONS: f64 = 64.0;
 
+/// Blocks that a region of one dispersion has at most.
+const REGION_BLOCKS: u32 = 64;
+
+/// Weight of the scene's mean in the dispersion of a region, in blocks.
+const SCENE_BLOCKS: f64 = 16.0;
+
 /// Flux and area under a node, and what splitting it gains.
 #[derive(Clone, Copy)]
 struct Sum {
     area: f64,
     flux: [f64; 3],
+    /// Dispersion, summed over the area.
+    dispersion: f64,
     /// Deviance gained by the splits kept below, what they have to gain taken off.
     gain: f64,
 }
@@ -36,17 +44,24 @@ pub struct Choice {
 /// The cells of one half: the nodes that explain `flux` best, each cell paying for itself (Kolaczyk and Nowak,
 /// "Multiscale likelihood analysis and complexity penalized estimation", 2004; optimal pruning as in dyadic
 /// CART, Donoho 1997). `photon` is the flux of one photon, `dispersion` what [`dispersion`] found.
-pub fn choose(tree: &SurfaceTree, flux: &ElementFlux, photon: f64, dispersion: f64) -> Choice {
+pub fn choose(tree: &SurfaceTree, flux: &ElementFlux, photon: f64, dispersion: &[f32]) -> Choice {
     let mut choice = Choice::default();
     if tree.is_empty() {
         return choice;
     }
-    let price = (1.0 + PENALTY) * dispersion;
     let marks: Vec<AtomicU8> = (0..tree.len()).map(|_| AtomicU8::new(WHOLE)).collect();
-    let leaf = |k: usize| Sum { area: f64::from(tree.elements[k].area), flux: flux[k].map(f64::from), gain: 0.0 };
+    let leaf = |k: usize| {
+        let area = f64::from(tree.elements[k].area);
+        Sum { area, flux: flux[k].map(f64::from), dispersion: area * f64::from(dispersion[k]), gain: 0.0 }
+    };
     let join = |node: &Node, a: Sum, b: Sum| {
-        let sum =
-            Sum { area: a.area + b.area, flux: std::array::from_fn(|c| a.flux[c] + b.flux[c]), gain: a.gain + b.gain };
+        let sum = Sum {
+            area: a.area + b.area,
+            flux: std::array::from_fn(|c| a.flux[c] + b.flux[c]),
+            dispersion: a.dispersion + b.dispersion,
+            gain: a.gain + b.gain,
+        };
+        let price = (1.0 + PENALTY) * sum.dispersion / sum.area;
         let photons = |s: &Sum| s.flux.iter().fold(0.0, |m: f64, &f| m.max(f)) / photon;
         let small = |s: &Sum| photons(s).max(photons(&sum) * s.area / sum.area) < LEAST_PHOTONS;
         // To split off a speck gains nothing and costs nothing: what is below the rest decides.
@@ -102,17 +117,18 @@ fn deviance(a: &Sum, b: &Sum, photon: f64) -> f64 {
     (0..3).map(channel).sum::<f64>().max(0.0)
 }
 
-/// Mean deviance that a split gains by noise alone: 1 for photons of one channel that arrive independently, 3
-/// for grey ones, less where low-discrepancy nets spread them evenly, more where they come in showers. One
-/// number for the scene, from the difference of the halves in blocks of many photons each.
-pub fn dispersion(tree: &SurfaceTree, halves: [&ElementFlux; 2], photon: f64) -> f64 {
+/// Mean deviance that a split gains by noise alone, around each element: 1 for photons of one channel that arrive
+/// independently, 3 for grey ones, less where low-discrepancy nets spread them evenly, more where they come in
+/// showers, as in a white lampshade. From the difference of the halves in blocks of many photons each, pooled over
+/// regions of many blocks and drawn to the mean of the scene.
+pub fn dispersion(tree: &SurfaceTree, halves: [&ElementFlux; 2], photon: f64) -> Vec<f32> {
     if tree.is_empty() || photon <= 0.0 {
-        return 1.0;
+        return vec![1.0; tree.elements.len()];
     }
     /// Flux of both halves where it is still too little for a block, else (sum, number) of the blocks.
     enum Part {
         Flux([[f64; 3]; 2]),
-        Blocks(f64, f64),
+        Blocks(f64, u32),
     }
     let block = |f: &[[f64; 3]; 2]| {
         let channel = |c: usize| {
@@ -121,21 +137,37 @@ pub fn dispersion(tree: &SurfaceTree, halves: [&ElementFlux; 2], photon: f64) ->
         };
         (0..3).map(channel).sum::<f64>()
     };
+    let found: Vec<(AtomicU32, AtomicU32)> = (0..tree.len()).map(|_| Default::default()).collect();
     let leaf = |k: usize| Part::Flux(halves.map(|h| h[k].map(f64::from)));
-    let join = |_: &Node, a: Part, b: Part| match (a, b) {
-        (Part::Flux(a), Part::Flux(b)) => {
-            let sum: [[f64; 3]; 2] = std::array::from_fn(|h| std::array::from_fn(|c| a[h][c] + b[h][c]));
-            if sum.iter().flatten().sum::<f64>() >= BLOCK_PHOTONS * photon {
-                Part::Blocks(block(&sum), 1.0)
-            } else {
-                Part::Flux(sum)
+    let join = |node: &Node, a: Part, b: Part| {
+        let part = match (a, b) {
+            (Part::Flux(a), Part::Flux(b)) => {
+                let sum: [[f64; 3]; 2] = std::array::from_fn(|h| std::array::from_fn(|c| a[h][c] + b[h][c]));
+                if sum.iter().flatten().sum::<f64>() >= BLOCK_PHOTONS * photon {
+                    Part::Blocks(block(&sum), 1)
+                } else {
+                    Part::Flux(sum)
+                }
             }
+            (Part::Blocks(s, n), Part::Blocks(t, m)) => Part::Blocks(s + t, n + m),
+            (blocks @ Part::Blocks(..), _) | (_, blocks) => blocks,
+        };
+        if let Part::Blocks(sum, n) = part {
+            found[node.index].0.store((sum as f32).to_bits(), Relaxed);
+            found[node.index].1.store(n, Relaxed);
         }
-        (Part::Blocks(s, n), Part::Blocks(t, m)) => Part::Blocks(s + t, n + m),
-        (blocks @ Part::Blocks(..), _) | (_, blocks) => blocks,
+        part
     };
-    match tree.fold(&tree.root(), &leaf, &join) {
-        Part::Blocks(sum, n) => (sum / n).max(1e-3),
+    let mean = match tree.fold(&tree.root(), &leaf, &join) {
+        Part::Blocks(sum, n) => (sum / f64::from(n)).max(1e-3),
         Part::Flux(sum) => block(&sum).max(1.0),
+    };
+    let mut out = vec![0.0; tree.elements.len()];
+    for region in tree.cut(|n| found[n.index].1.load(Relaxed) <= REGION_BLOCKS) {
+        let (sum, n) = &found[region.index];
+        let (sum, n) = (f64::from(f32::from_bits(sum.load(Relaxed))), f64::from(n.load(Relaxed)));
+        let drawn = (sum + SCENE_BLOCKS * mean) / (n + SCENE_BLOCKS);
+        out[region.elements].fill(drawn as f32);
     }
+    out
 }

@@ -42,19 +42,25 @@ struct Plane {
     gradient: [Vec3; 3],
 }
 
-/// Irradiance (lux) of every element and the side of its cell [frame units], in the order of the tree. `flux` is that of one half, `cells` its cells,
-/// `noise` the variance of a cell's flux over its flux, for all channels.
+/// Irradiance (lux) of every element and the side of its cell [frame units], in the order of the tree. `flux` is that of one half, `cells` its cells;
+/// the variance of a cell's flux, for all channels, is `photon` times the `dispersion` there times its flux.
 pub fn reconstruct(
     tree: &SurfaceTree,
     cells: &Cells,
     flux: &ElementFlux,
-    noise: f64,
+    photon: f64,
+    dispersion: &[f32],
     accel: &Accel,
 ) -> (Vec<Vec3>, Vec<f32>) {
     let moments: Vec<Cell> = cells.ranges.par_iter().map(|r| Cell::new(tree, &cells.order[r.clone()], flux)).collect();
     let index = CellIndex::new(&moments);
     let around: Vec<Vec<u32>> = (0..moments.len()).into_par_iter().map(|i| index.around(&moments, i, accel)).collect();
-    let planes: Vec<Plane> = (0..moments.len()).into_par_iter().map(|i| fit(&moments, i, &around[i], noise)).collect();
+    let planes: Vec<Plane> = (0..moments.len())
+        .into_par_iter()
+        .map(|i| {
+            fit(&moments, i, &around[i], photon * f64::from(dispersion[cells.order[cells.ranges[i].start] as usize]))
+        })
+        .collect();
     let parts: Vec<Vec<Vec3>> = (0..moments.len())
         .into_par_iter()
         .map(|i| {

@@ -20,6 +20,9 @@ use std::f32::consts::PI;
 /// A ray ends after this many surfaces that only pass or have no place on the map.
 const MAX_SURFACES: u32 = 64;
 
+/// Bounces of a path before light is looked up on the next mapped surface, however near.
+const MOST_NEAR_STEPS: u32 = 3;
+
 /// Direct light is not looked up but sampled on texels nearer than this many of their sides.
 const NEAR: f32 = 4.0;
 
@@ -94,6 +97,7 @@ impl Gather<'_> {
         let mut ray = Ray { origin: at.origin, direction, t_max: f32::INFINITY };
         // Distance from `at` while nothing but passing surfaces was met.
         let mut straight = Some(0.0f32);
+        let mut near_steps = 0;
         for _ in 0..MAX_SURFACES {
             *rays += 1;
             let Some(hit) = self.visibility.accel.closest(&ray) else { return sum };
@@ -137,9 +141,10 @@ impl Gather<'_> {
                     self.sent_directly(half, texel)
                 };
                 sum += carried * sent * weight;
-                // What is near would be looked up too blurred: one bounce more, and it no longer matters.
+                // What is near would be looked up too blurred: a few bounces more, and it no longer matters.
                 let mapped = texel < self.texels.mapped;
-                if mapped && (straight.is_none() || hit.t >= self.blur[half][texel]) {
+                let far = mapped && hit.t >= self.blur[half][texel];
+                if mapped && (far || near_steps == MOST_NEAR_STEPS) {
                     sum += carried * albedo * self.indirect[half][texel];
                     reflected = Vec3::ZERO;
                 }
@@ -150,6 +155,7 @@ impl Gather<'_> {
             let position = world.position(hit.triangle, uv);
             let extent = world.extent(hit.triangle);
             if pick < r {
+                near_steps = (near_steps + 1).min(MOST_NEAR_STEPS);
                 carried *= reflected / r * (r + p).max(1.0);
                 let direction = cosine_hemisphere(facing, Vec2::new(stream.unit(), stream.unit()));
                 ray = Ray { origin: offset_origin(position, facing, extent), direction, t_max: f32::INFINITY };

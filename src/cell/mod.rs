@@ -44,9 +44,9 @@ impl Reconstruction {
     /// Reconstructs both halves of `caught`, where one photon carries `photon` [lux x frame units squared].
     pub fn new(tree: &SurfaceTree, caught: [&ElementFlux; 2], photon: f64, accel: &Accel) -> Reconstruction {
         let dispersion = dispersion(tree, caught, photon);
-        let chosen = caught.map(|flux| choose(tree, flux, photon, dispersion));
+        let chosen = caught.map(|flux| choose(tree, flux, photon, &dispersion));
         let cells = [0, 1].map(|h| Cells::new(tree, &chosen[h], accel));
-        let [odd, even] = [0, 1].map(|h| reconstruct(tree, &cells[h], caught[h], photon * dispersion, accel));
+        let [odd, even] = [0, 1].map(|h| reconstruct(tree, &cells[h], caught[h], photon, &dispersion, accel));
         let mut starts: Vec<usize> = chosen.iter().flat_map(|c| c.cells.iter().map(|n| n.elements.start)).collect();
         starts.sort_unstable();
         let border_inside = |n: &Node| {

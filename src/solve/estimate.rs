@@ -1,16 +1,13 @@
 //! What is known after a round: the irradiance of every texel, and how far it is from the truth.
 
 use super::{LightPath, Solution, Solver};
-use crate::accuracy::{Halves, Known, Missed, TexelWeights, mesh_errors, texel_error};
+use crate::accuracy::{GATHER_AGAIN, Halves, Known, Missed, TexelWeights, mesh_errors, texel_error};
 use crate::atlas::NO_CHART;
 use crate::cell::{Bias, Element, ElementFlux, Gather, Reconstruction, bias};
 use crate::options::{DoubleSided, Smoothing, TexelValue};
 use crate::report::percentile_95;
 use glam::Vec3;
 use rayon::prelude::*;
-
-/// Light is gathered anew once there are so many times the photons.
-const GATHER_AGAIN: u64 = 4;
 
 /// Bias is looked for in sixteenths of a cell: in quarters, a third of its square goes unseen.
 const BIAS_DEPTH: u32 = 4;
