@@ -121,7 +121,7 @@ pub struct JoinedMesh {
 }
 
 impl JoinedMesh {
-    /// Area of the triangles that get charts [m2].
+    /// Area of the triangles that get charts (m2).
     pub fn area(&self) -> f64 {
         let counts = |t: &u32| self.groups[*t as usize] != IGNORED;
         (0..self.triangles.len() as u32).filter(counts).map(|t| area_of(self, t)).filter(|a| a.is_finite()).sum()
