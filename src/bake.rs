@@ -5,7 +5,7 @@ use crate::accuracy::TexelWeights;
 use crate::atlas::{self, Atlas, Texels};
 use crate::cell::SurfaceTree;
 use crate::error::{BakeError, Warning};
-use crate::light::{Emitters, LightSettings, Lighting, Visibility, open_shares};
+use crate::light::{COVER, Emitters, LightSettings, Lighting, Visibility, open_shares};
 use crate::lightmap::Lightmap;
 use crate::observer::{Observer, Stage};
 use crate::options::{BakeOptions, Lights, TexelValue};
@@ -87,7 +87,7 @@ fn bake_here<'s>(scene: &'s Scene, options: &BakeOptions, observer: &mut dyn Obs
         texels: &texels,
         open: &open,
         tree: &tree,
-        crevice: pitch as f32 * CREVICE,
+        crevice: pitch as f32 * COVER,
         emitters: &emitters,
         visibility: &visibility,
     };
@@ -190,9 +190,6 @@ fn report(
     report.set_texel_error(&solution.error);
     report
 }
-
-/// Width below which a gap between surfaces is none, as a share of the usual distance of texels.
-const CREVICE: f32 = 1.0 / 32.0;
 
 /// Share of all photons' flux that the backs of one node must meet to be worth a warning.
 const BACK_SHARE: f64 = 0.005;

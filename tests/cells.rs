@@ -6,7 +6,7 @@
 
 mod common;
 
-use common::rooms::{Builder, centre, plain, run};
+use common::rooms::{Builder, centre, plain, run, two_rooms};
 use common::runs::one_round;
 use common::statistics::{mean_and_error, mean_test};
 use evenlight::options::{DoubleSided, Smoothing};
@@ -122,18 +122,7 @@ fn sigma_of_cells_is_the_scatter_of_seeds() {
 #[test]
 fn no_cell_reaches_through_a_wall() {
     for columns in [32, 33] {
-        let mut b = Builder::new(PAGE);
-        let wall = b.diffuse(0.8, 0.0);
-        let (x, y, z) = (Vec3::X * 6.0, Vec3::Y * 2.5, Vec3::Z * 4.0);
-        b.quad("floor", Vec3::ZERO, z, x, wall, [16, columns]);
-        b.quad("ceiling", y, x, z, wall, [columns, 16]);
-        b.quad("left", Vec3::ZERO, y, z, wall, [10, 16]);
-        b.quad("right", x, z, y, wall, [16, 10]);
-        b.quad("back", Vec3::ZERO, x, y, wall, [columns, 10]);
-        b.quad("front", z, y, x, wall, [10, columns]);
-        b.quad("sheet", x * 0.5, y, z, wall, [10, 16]);
-        b.point_light(Vec3::new(1.0, 1.0, 2.0), 1e6);
-        let scene = b.finish();
+        let scene = two_rooms(PAGE, columns, false);
         // From the first few photons on.
         for photons in [1 << 13, 1 << 17] {
             let options = BakeOptions {

@@ -3,7 +3,7 @@
 mod common;
 
 use common::formulas::{QuadMap, point_irradiance, polygon_irradiance};
-use common::rooms::{Builder, plain, run};
+use common::rooms::{Builder, plain, run, two_rooms};
 use common::runs::{area_mean, node_mean, one_round, samples, side_mean, texel_samples};
 use common::statistics::{ALPHA, expect_mean, normal_upper_quantile, sidak, welch_score};
 use evenlight::options::DoubleSided;
@@ -163,21 +163,7 @@ fn no_light_passes_under_a_thin_wall() {
     // With 32 columns the wall stands between two texels, with 33 in the middle of one.
     for columns in [32, 33] {
         for double_sided in [true, false] {
-            let mut b = Builder::new(128);
-            let wall = b.diffuse(0.8, 0.0);
-            let (x, y, z) = (Vec3::X * 6.0, Vec3::Y * 2.5, Vec3::Z * 4.0);
-            b.quad("floor", Vec3::ZERO, z, x, wall, [16, columns]);
-            b.quad("ceiling", y, x, z, wall, [columns, 16]);
-            b.quad("left", Vec3::ZERO, y, z, wall, [10, 16]);
-            b.quad("right", x, z, y, wall, [16, 10]);
-            b.quad("back", Vec3::ZERO, x, y, wall, [columns, 10]);
-            b.quad("front", z, y, x, wall, [10, columns]);
-            let sheet =
-                b.material(Material { base_color: Vec4::new(0.8, 0.8, 0.8, 1.0), double_sided, ..Material::default() });
-            // Its front looks into the dark room.
-            b.quad("sheet", x * 0.5, y, z, sheet, [10, 16]);
-            b.point_light(Vec3::new(1.0, 1.0, 2.0), 1e6);
-            let scene = b.finish();
+            let scene = two_rooms(128, columns, double_sided);
             let options =
                 BakeOptions { max_photons: Some(1 << 19), double_sided: DoubleSided::Split, ..plain(128, 0.1) };
             let bake = run(&scene, &options);

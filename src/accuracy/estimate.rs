@@ -184,7 +184,7 @@ pub fn texel_error(known: &Known) -> TexelError {
         cell_bias_resolution: percent(known.bias.variance.sqrt()),
         percent: percent(middle),
         low: percent(middle - (square - noise_low).hypot(spread)),
-        high: percent(square + known.bias.square.max(0.0) + (noise_high - square).hypot(spread)),
+        high: percent(middle + (noise_high - square).hypot(spread)),
         luminance_percent: y.hypot(bias),
         outlier_share: outlier_share(total, weights, square),
     }
@@ -240,7 +240,8 @@ pub struct MeshError {
     pub minimum: f64,
     /// Largest mean irradiance of a texel (lux).
     pub maximum: f64,
-    /// RMS error relative to the larger of the node's mean and 1 % of the scene's.
+    /// RMS error relative to the larger of the node's mean and 1 % of the scene's; with one standard error of the
+    /// bias on top, so that too few photons to show whether it is right do not pass for none.
     pub error_percent: f64,
     /// Share of its texels' area whose error is at most the target times the larger of E there and 1 % of the
     /// scene's mean.

@@ -71,8 +71,11 @@ pub struct MeshPlan {
     pub gather: Vec<(usize, u32)>,
 }
 
-/// Rays that a gather sample of both halves takes: one that looks around and one towards the light, each.
-const RAYS_PER_SAMPLE: f64 = 4.0;
+/// Rays that texels take to gather with `samples` each per half: in each half one that looks around and one towards
+/// the light.
+pub fn gather_cost(samples: f64, texels: usize) -> f64 {
+    4.0 * samples * texels as f64
+}
 
 /// Squared relative scatter of one gather sample, before it was measured.
 const GATHER_SCATTER: f64 = 2.0;
@@ -97,7 +100,7 @@ pub fn plan_meshes(missed: &[Missed], spared: usize, target: f64, photon_cost: f
         0 => first.ceil(),
         n => (f64::from(n) * (m.indirect / SHARE * 1.1).min(GATHER_GROWTH)).min(*GATHER_RANGE.end()).ceil(),
     };
-    let cost = |m: &Missed| samples(m) * m.texels as f64 * RAYS_PER_SAMPLE;
+    let cost = |m: &Missed| gather_cost(samples(m), m.texels);
     let mut meshes: Vec<&Missed> = missed.iter().collect();
     meshes.sort_by(|a, b| cost(b).total_cmp(&cost(a)).then(a.instance.cmp(&b.instance)));
     let meshes = &meshes[spared.min(meshes.len())..];

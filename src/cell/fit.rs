@@ -1,7 +1,7 @@
 //! Irradiance between cells: a plane fitted around each, blended where they meet.
 
 use super::ElementFlux;
-use super::links::{Cells, linked};
+use super::links::{Cells, linked, middle_of};
 use super::tree::{Element, SurfaceTree};
 use crate::accel::Accel;
 use glam::{DMat3, DVec3, Vec3};
@@ -42,8 +42,9 @@ struct Plane {
     gradient: [Vec3; 3],
 }
 
-/// Irradiance (lux) of every element and the side of its cell [frame units], in the order of the tree. `flux` is that of one half, `cells` its cells;
-/// the variance of a cell's flux, for all channels, is `photon` times the `dispersion` there times its flux.
+/// Irradiance (lux) of every element and the side of its cell [frame units], in the order of the tree. `flux` is that
+/// of one half, `cells` its cells; the variance of a cell's flux, for all channels, is `photon` times the `dispersion`
+/// there times its flux.
 pub fn reconstruct(
     tree: &SurfaceTree,
     cells: &Cells,
@@ -99,12 +100,10 @@ impl Cell {
         }
         let covariance = covariance * (1.0 / area);
         let trace = covariance.x_axis.x + covariance.y_axis.y + covariance.z_axis.z;
-        let distance = |e: &&Element| e.position.distance_squared(centre);
-        let middle = elements().map(|(e, _)| e).min_by(|a, b| distance(a).total_cmp(&distance(b)));
         Cell {
             area,
             centre,
-            middle: *middle.expect("a cell has elements"),
+            middle: *middle_of(elements().map(|(e, _)| e)),
             normal: normal.as_vec3().normalize_or_zero(),
             side: (6.0 * trace).sqrt() as f32,
             covariance,

@@ -25,7 +25,7 @@ const SECOND_POINTS: u32 = 4;
 const POINTS: u32 = 64;
 
 /// A surface nearer than this share of a texel's side lies upon it.
-const COVER: f32 = 1.0 / 32.0;
+pub const COVER: f32 = 1.0 / 32.0;
 
 /// Rays that must all meet backs or a cover for a point to be buried.
 const RAYS: u32 = 6;

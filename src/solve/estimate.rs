@@ -4,6 +4,7 @@ use super::{LightPath, Solution, Solver};
 use crate::accuracy::{GATHER_AGAIN, Halves, Known, Missed, TexelWeights, mesh_errors, texel_error};
 use crate::atlas::NO_CHART;
 use crate::cell::{Bias, Element, ElementFlux, Gather, Reconstruction, bias};
+use crate::error::BakeError;
 use crate::options::{DoubleSided, Smoothing, TexelValue};
 use crate::report::percentile_95;
 use glam::Vec3;
@@ -20,13 +21,16 @@ const GATHER_CHUNK: usize = 4096;
 
 impl Solver<'_, '_> {
     /// Irradiance and errors as they stand.
-    pub(super) fn solution(&mut self) -> Solution {
+    ///
+    /// # Errors
+    /// [`BakeError::Cancelled`].
+    pub(super) fn solution(&mut self) -> Result<Solution, BakeError> {
         let LightPath { open, tree, visibility, .. } = self.path;
         let instances = visibility.world.scene.instances.len();
         let direct = self.direct_halves();
         let caught = self.caught();
         let mut found = self.reconstruct(&caught);
-        self.gather(&mut found);
+        self.gather(&mut found)?;
         let indirect = self.indirect_halves(&found);
         let add = |a: &[Vec3], b: &[Vec3]| a.par_iter().zip(b).map(|(a, b)| *a + *b).collect::<Vec<_>>();
         let total = Halves { odd: add(&direct.odd, &indirect.odd), even: add(&direct.even, &indirect.even) };
@@ -75,7 +79,7 @@ impl Solver<'_, '_> {
         };
         let kept: f64 = found.values.iter().map(|v| flux(v)).sum();
         let all: f64 = caught.iter().flatten().flatten().map(|&f| f64::from(f)).sum();
-        Solution {
+        Ok(Solution {
             total,
             weights,
             error,
@@ -96,7 +100,7 @@ impl Solver<'_, '_> {
             back_flux: self.bins.back_flux(),
             unit: self.flux.map_or(0.0, |f| f.unit),
             seconds: self.seconds,
-        }
+        })
     }
 
     /// Squared errors of each instance, times its weight: what more direct samples would lower, and what more
@@ -105,7 +109,7 @@ impl Solver<'_, '_> {
     /// Photons start at direct samples: how far the start fluxes of the halves are apart is noise of all indirect
     /// light that only direct samples lower.
     fn squares(&self, direct: &Halves, indirect: &Halves, weights: &TexelWeights, biases: &[Bias]) -> Vec<(f64, f64)> {
-        let [odd, even] = self.start_totals;
+        let [odd, even] = self.start_totals();
         let start_noise = if odd + even > 0.0 { ((odd - even) / (odd + even)).powi(2) } else { 0.0 };
         let mut sums = vec![[0f64; 3]; biases.len() - 1];
         for i in (0..weights.weight.len()).filter(|&i| weights.weight[i] > 0.0) {
@@ -146,18 +150,19 @@ impl Solver<'_, '_> {
     /// Irradiance of the elements from what they caught.
     fn reconstruct(&self, caught: &[ElementFlux; 2]) -> Reconstruction {
         let LightPath { tree, visibility, .. } = self.path;
-        let (caught, photon) =
-            ([&caught[0], &caught[1]], self.start_totals[0].max(self.start_totals[1]) / self.photons.max(1) as f64);
+        let [odd, even] = self.start_totals();
+        let (caught, photon) = ([&caught[0], &caught[1]], odd.max(even) / self.photons.max(1) as f64);
         match self.options.smoothing {
             Smoothing::Cells => Reconstruction::new(tree, caught, photon, visibility.accel),
             Smoothing::None => Reconstruction::raw(tree, caught),
         }
     }
 
-    /// Replaces the indirect light of the meshes that are to gather it.
-    fn gather(&mut self, found: &mut Reconstruction) {
+    /// Replaces the indirect light of the meshes that gather it: of those that were to begin when time ran out,
+    /// none that is not done.
+    fn gather(&mut self, found: &mut Reconstruction) -> Result<(), BakeError> {
         let LightPath { texels, tree, open, visibility, .. } = self.path;
-        let Some(starts) = self.starts.as_ref().filter(|_| self.gathered.iter().any(|&n| n > 0)) else { return };
+        let Some(starts) = self.starts.as_ref().filter(|_| self.gathered.iter().any(|&n| n > 0)) else { return Ok(()) };
         // Gathered once, light stays as it is until more rays are asked for or the map it came from is much better.
         let fresh: Vec<(usize, (u32, u64))> = (0..self.gathered.len())
             .filter(|&i| self.gathered[i] > 0)
@@ -189,22 +194,30 @@ impl Solver<'_, '_> {
             indirect: [&indirect[0], &indirect[1]],
             blur: [&blur[0], &blur[1]],
         };
+        let mut done = true;
         for wanted in wanted.chunks(GATHER_CHUNK) {
+            if self.observer.cancelled() {
+                return Err(BakeError::Cancelled);
+            }
+            if self.out_of_time() {
+                done = false;
+                break;
+            }
             let light = [0, 1].map(|h| gather.texels(h, wanted));
             for (j, &(texel, _)) in wanted.iter().enumerate() {
                 self.kept.insert(texel, [light[0].0[j], light[1].0[j]]);
             }
             self.gather_rays += light[0].1 + light[1].1;
-            if self.out_of_time() {
-                return;
-            }
         }
-        fresh.iter().for_each(|&(instance, state)| self.gathered_at[instance] = state);
-        for (k, e) in tree.elements.iter().enumerate() {
-            if let Some(light) = self.kept.get(&e.texel) {
-                (0..2).for_each(|h| found.values[h][k] = light[h]);
-            }
+        if done {
+            fresh.iter().for_each(|&(instance, state)| self.gathered_at[instance] = state);
         }
+        let gathers = |e: &Element| self.gathered_at[instance(e.texel)].0 > 0;
+        for (k, e) in tree.elements.iter().enumerate().filter(|(_, e)| gathers(e)) {
+            let light = self.kept[&e.texel];
+            (0..2).for_each(|h| found.values[h][k] = light[h]);
+        }
+        Ok(())
     }
 
     /// Indirect light of the texels in two halves.

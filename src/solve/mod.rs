@@ -1,13 +1,16 @@
-//! Light until the error is under the target: rounds of direct samples and photons.
+//! Light until the error is under the target: rounds of direct samples and photons, and gathering where both are
+//! too slow.
 //!
 //! In: texels, emitters, what rays meet. Out: [`Solution`], the irradiance of every texel in two halves with
-//! its error. After each round the noise of the direct and of the indirect part is known from the halves, and
-//! the next round is sized so that the target is met with the fewest rays. All decisions are made between
+//! its error. After each round the error of the direct and of the indirect part is known from the halves, and
+//! the next round is sized so that the target is met at the least cost. All decisions are made between
 //! rounds from sums in fixed order; only a time limit can make two runs differ.
 
 mod estimate;
 
-use crate::accuracy::{Halves, MeshError, Missed, Spent, TexelError, TexelWeights, cheapest_growth, plan_meshes};
+use crate::accuracy::{
+    Halves, MeshError, Missed, Spent, TexelError, TexelWeights, cheapest_growth, gather_cost, plan_meshes,
+};
 use crate::atlas::Texels;
 use crate::cell::SurfaceTree;
 use crate::error::BakeError;
@@ -26,7 +29,7 @@ const FIRST_SAMPLES: u32 = 2;
 /// Direct samples between two looks at the clock and at what they found.
 const MOST_SAMPLES_AT_ONCE: u64 = 1 << 22;
 
-/// Photons of the first round per half: 2^(12..20), by the number of texels.
+/// Photons of the first round per half: 2^(12..16), by the number of texels.
 const FIRST_NET_BITS: std::ops::RangeInclusive<u32> = 12..=16;
 
 /// Nets of one round are powers of two of at least this many photons.
@@ -120,8 +123,6 @@ struct Solver<'a, 'o> {
     direct: Direct,
     bins: Bins<'a>,
     flux: Option<Flux>,
-    /// Start flux of each half, as the last round found it [lux x frame units squared].
-    start_totals: [f64; 2],
     /// Where photons of each half started last.
     starts: Option<[StartTable; 2]>,
     /// Gather rays of each texel and half, per instance; 0 where photons do.
@@ -167,7 +168,6 @@ pub fn solve(
         direct: Direct::new(path.texels.texels.len()),
         bins: Bins::new(path.visibility.world, path.texels),
         flux: None,
-        start_totals: [0.0; 2],
         starts: None,
         gathered: vec![0; instances],
         gather_rays: 0,
@@ -205,7 +205,7 @@ impl Solver<'_, '_> {
         loop {
             let stopped = self.trace(&round)?;
             let started = Instant::now();
-            let mut solution = self.solution();
+            let mut solution = self.solution()?;
             self.seconds[2] += started.elapsed().as_secs_f64();
             let wish = self.wish(&solution, f64::INFINITY);
             let next = self.wish(&solution, MOST_REDUCTION);
@@ -265,13 +265,13 @@ impl Solver<'_, '_> {
         if total <= 0.0 {
             return Ok(None);
         }
-        self.start_totals = [0, 1].map(|h| starts[h].total());
         if self.flux.is_some_and(|f| !f.holds(total)) {
             // The first direct samples missed nearly all of the light: so did the photons they started.
             self.flux = None;
             self.bins = Bins::new(visibility.world, texels);
             self.ledger = EnergyLedger::default();
             self.photons = 0;
+            self.gathered_at.fill((0, 0));
         }
         let flux = *self.flux.get_or_insert_with(|| Flux::for_total(total));
         let shooting = Shooting {
@@ -328,6 +328,11 @@ impl Solver<'_, '_> {
         Ok(limit)
     }
 
+    /// Start flux of each half, as the last round found it [lux x frame units squared].
+    fn start_totals(&self) -> [f64; 2] {
+        self.starts.as_ref().map_or([0.0; 2], |s| [s[0].total(), s[1].total()])
+    }
+
     fn out_of_time(&self) -> bool {
         self.options.time_limit.is_some_and(|t| self.began.elapsed().as_secs_f64() > t)
     }
@@ -346,7 +351,7 @@ impl Solver<'_, '_> {
     fn cost(&self, round: &Round) -> f64 {
         let per_sample = self.direct.rays().max(1) as f64 / self.direct.samples().max(1) as f64;
         let per_photon = self.ledger.rays.max(1) as f64 / self.photons.max(1) as f64;
-        let gather: f64 = round.gather.iter().map(|&(i, n)| 4.0 * f64::from(n) * self.texels_of[i] as f64).sum();
+        let gather: f64 = round.gather.iter().map(|&(i, n)| gather_cost(f64::from(n), self.texels_of[i])).sum();
         per_sample * round.samples as f64 + per_photon * round.photons as f64 + gather
     }
 

@@ -238,6 +238,25 @@ pub fn cornell(page: u32) -> Scene {
     b.finish()
 }
 
+/// Two rooms of 3 x 4 m, 2.5 m high, under one floor and one ceiling, parted at x = 3 by a wall without thickness,
+/// instance 6; a point light in the first. Surfaces that run through both have `columns` texels along x.
+pub fn two_rooms(page: u32, columns: u32, double_sided: bool) -> Scene {
+    let mut b = Builder::new(page);
+    let wall = b.diffuse(0.8, 0.0);
+    let (x, y, z) = (Vec3::X * 6.0, Vec3::Y * 2.5, Vec3::Z * 4.0);
+    b.quad("floor", Vec3::ZERO, z, x, wall, [16, columns]);
+    b.quad("ceiling", y, x, z, wall, [columns, 16]);
+    b.quad("left", Vec3::ZERO, y, z, wall, [10, 16]);
+    b.quad("right", x, z, y, wall, [16, 10]);
+    b.quad("back", Vec3::ZERO, x, y, wall, [columns, 10]);
+    b.quad("front", z, y, x, wall, [10, columns]);
+    let sheet = b.material(Material { base_color: Vec4::new(0.8, 0.8, 0.8, 1.0), double_sided, ..Material::default() });
+    // Its front looks into the dark room.
+    b.quad("sheet", x * 0.5, y, z, sheet, [10, 16]);
+    b.point_light(Vec3::new(1.0, 1.0, 2.0), 1e6);
+    b.finish()
+}
+
 /// Options under which texels are plain means on the UVs of the scene.
 pub fn plain(page: u32, target_percent: f64) -> BakeOptions {
     BakeOptions {
