@@ -1,6 +1,6 @@
 //! The pipeline on one page.
 
-use crate::accel::Accel;
+use crate::accel::{Accel, part_coincident};
 use crate::accuracy::TexelWeights;
 use crate::atlas::{self, Atlas, Texels};
 use crate::cell::SurfaceTree;
@@ -62,7 +62,8 @@ fn bake_here<'s>(scene: &'s Scene, options: &BakeOptions, observer: &mut dyn Obs
     let go_on = |observer: &dyn Observer| if observer.cancelled() { Err(BakeError::Cancelled) } else { Ok(()) };
     observer.stage(Stage::Prepare);
     atlas::check_memory(scene, &atlas, options.memory_limit)?;
-    let world = World::new(scene);
+    let mut world = World::new(scene);
+    let coincident = part_coincident(&mut world);
     let texels = Texels::new(&world, &atlas);
     seconds.texels = clock.lap();
     go_on(observer)?;

@@ -5,6 +5,7 @@
 //! here; the traversal is our own: watertight, and with the same hits bit for bit whichever kernel runs.
 
 mod build;
+mod coincident;
 mod kernel;
 mod offset;
 mod ray;
@@ -12,6 +13,7 @@ mod traverse;
 mod triangle;
 mod wide;
 
+pub use coincident::{PARTING, part_coincident};
 pub use kernel::Kernel;
 pub use offset::offset_origin;
 

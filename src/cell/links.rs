@@ -87,8 +87,11 @@ impl Cells {
     }
 }
 
-/// True if nothing stands between two texels.
+/// True if nothing stands between two texels, and neither lies under a sheet that is open above.
 pub fn linked(a: &Element, b: &Element, accel: &Accel) -> bool {
+    if a.under != b.under {
+        return false;
+    }
     let distance = a.position.distance(b.position);
     let lift = distance * (LIFT + LIFT_BENT * (1.0 - a.normal.dot(b.normal)).clamp(0.0, 1.0));
     let end = |e: &Element| offset_origin(e.position, e.normal, 1.0) + e.normal * lift;

@@ -23,6 +23,8 @@ pub struct Element {
     pub area: f32,
     /// Index into [`Texels::texels`].
     pub texel: u32,
+    /// Another surface lies less than a texel above it.
+    pub under: bool,
 }
 
 /// A node with more spread of normals than this, along any axis, is split by normal: 0.7 parts the sides of a
@@ -62,32 +64,37 @@ pub struct Node {
 impl SurfaceTree {
     /// The tree over the texels of the map with open surface. `open` is the open share of each texel's area.
     ///
-    /// A texel that a wall stands on has light of both sides and belongs to neither: such texels have the second
-    /// child of the root for themselves.
+    /// The root's first child has the surface that is open to its surroundings, its second child what is not. A
+    /// texel that a wall stands on has light of both sides and belongs to neither. Nor has a sheet that lies just
+    /// under another anything to do with that one's light, though it is as near as the next texel.
     pub fn new(world: &World, texels: &Texels, open: &[f32], accel: &Accel) -> SurfaceTree {
-        let elements: Vec<(bool, Element)> = (0..texels.mapped)
+        let mut elements: Vec<(Setting, Element)> = (0..texels.mapped)
             .into_par_iter()
             .map_init(TexelSampler::default, |sampler, i| {
                 let t = &texels.texels[i];
                 sampler.load(texels, i);
                 let (position, normal) = sampler.centre(world);
                 let normal = if t.back { -normal } else { normal };
-                let e = Element { position, normal, area: t.area * open[i], texel: i as u32 };
+                let mut e = Element { position, normal, area: t.area * open[i], texel: i as u32, under: false };
+                e.under = under(&e, accel);
                 // Where a border cuts a texel it is not known how far it reaches.
-                (t.coverage > WHOLE && open[i] == 1.0 && astride(&e, accel), e)
+                let setting = if t.coverage > WHOLE && open[i] == 1.0 && astride(&e, accel) {
+                    Setting::Astride
+                } else if e.under {
+                    Setting::Under
+                } else {
+                    Setting::Free
+                };
+                (setting, e)
             })
             .filter(|(_, e)| e.area > 0.0)
             .collect();
-        let (walled, mut elements): (Vec<_>, Vec<_>) = elements.into_iter().partition(|(astride, _)| *astride);
-        let free = elements.len();
-        elements.extend(walled);
+        elements.sort_by_key(|(setting, _)| *setting);
+        let count = |of: Setting| elements.iter().filter(|(setting, _)| *setting == of).count();
+        let parts = [Setting::Free, Setting::Under, Setting::Astride].map(count);
         let mut elements: Vec<Element> = elements.into_iter().map(|(_, e)| e).collect();
         let mut middle = vec![0; (2 * elements.len()).saturating_sub(1)];
-        if free > 0 && free < elements.len() {
-            split(&mut elements, &mut middle, 0, free);
-        } else if !elements.is_empty() {
-            build(&mut elements, &mut middle, 0);
-        }
+        build_parts(&mut elements, &mut middle, 0, &parts);
         SurfaceTree { elements, middle }
     }
 
@@ -149,6 +156,23 @@ impl SurfaceTree {
     }
 }
 
+/// What surrounds a texel.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
+enum Setting {
+    /// Open space.
+    Free,
+    /// Another surface just above.
+    Under,
+    /// A wall that stands on it.
+    Astride,
+}
+
+/// Whether another surface lies less than a texel's side above the middle of a texel.
+fn under(e: &Element, accel: &Accel) -> bool {
+    let origin = offset_origin(e.position, e.normal, 1.0);
+    accel.occluded(&Ray { origin, direction: e.normal, t_max: e.area.sqrt() })
+}
+
 /// Whether something stands on the middle of a texel, which reaches at least [`REACH`] of its side to all sides.
 fn astride(e: &Element, accel: &Accel) -> bool {
     let middle = offset_origin(e.position, e.normal, 1.0);
@@ -160,29 +184,39 @@ fn astride(e: &Element, accel: &Accel) -> bool {
     })
 }
 
+/// Writes the nodes of `elements`, which consist of `parts` that are to have subtrees for themselves.
+fn build_parts(elements: &mut [Element], middle: &mut [u32], start: u32, parts: &[usize]) {
+    match parts {
+        _ if elements.is_empty() => {}
+        [0, rest @ ..] => build_parts(elements, middle, start, rest),
+        [first, rest @ ..] if *first < elements.len() => {
+            middle[0] = start + *first as u32;
+            let (a, b) = elements.split_at_mut(*first);
+            let (left, right) = middle[1..].split_at_mut(2 * first - 1);
+            build(a, left, start);
+            build_parts(b, right, start + *first as u32, rest);
+        }
+        _ => build(elements, middle, start),
+    }
+}
+
 /// Writes the nodes of `elements`, which begin at `start` of all, to `middle`.
 fn build(elements: &mut [Element], middle: &mut [u32], start: u32) {
     match elements.len() {
         1 => middle[0] = start,
-        _ => {
+        n => {
             let m = partition(elements);
-            split(elements, middle, start, m);
+            let end = start + m as u32;
+            middle[0] = end;
+            let (a, b) = elements.split_at_mut(m);
+            let (left, right) = middle[1..].split_at_mut(2 * m - 1);
+            if n > PARALLEL {
+                rayon::join(|| build(a, left, start), || build(b, right, end));
+            } else {
+                build(a, left, start);
+                build(b, right, end);
+            }
         }
-    }
-}
-
-/// The same where the first child has the first `m` elements.
-fn split(elements: &mut [Element], middle: &mut [u32], start: u32, m: usize) {
-    let n = elements.len();
-    let end = start + m as u32;
-    middle[0] = end;
-    let (a, b) = elements.split_at_mut(m);
-    let (left, right) = middle[1..].split_at_mut(2 * m - 1);
-    if n > PARALLEL {
-        rayon::join(|| build(a, left, start), || build(b, right, end));
-    } else {
-        build(a, left, start);
-        build(b, right, end);
     }
 }
 
@@ -258,7 +292,7 @@ mod tests {
     }
 
     fn element(texel: u32, position: Vec3, normal: Vec3) -> Element {
-        Element { position, normal, area: 1.0, texel }
+        Element { position, normal, area: 1.0, texel, under: false }
     }
 
     #[test]
