@@ -2,13 +2,13 @@
 //!
 //! A floor under a box is never seen and never lit; as part of a texel's mean it would only darken the visible
 //! rest. Nor is a sheet seen that another lies upon, but light that strays between two white ones is reflected
-//! hundreds of times and would outshine all else. A point is *buried* if every ray from it meets the back of a
-//! one-sided surface first, or any surface much nearer than a texel is wide. The share of a texel's area that is
+//! hundreds of times and would outshine all else. A point is *buried* if another surface lies upon it, much nearer
+//! than a texel is wide, or if every ray from it meets such a one or the back of a one-sided surface first. The share of a texel's area that is
 //! open divides its flux in place of the whole area.
 
 use super::receiver::Receiver;
 use super::visibility::Visibility;
-use crate::accel::Ray;
+use crate::accel::{PARTING, Ray};
 use crate::atlas::{TexelSampler, Texels};
 use crate::sampling::{cosine_hemisphere, hash_seed, sobol, unit_f32};
 use crate::scene::SurfaceFlags;
@@ -26,6 +26,9 @@ const POINTS: u32 = 64;
 
 /// A surface nearer than this share of a texel's side lies upon it.
 pub const COVER: f32 = 1.0 / 32.0;
+
+/// A surface that was parted from another in its plane lies under it, however small texels are [frame units].
+const LEAST_COVER: f32 = 2.0 * PARTING;
 
 /// Rays that must all meet backs or a cover for a point to be buried.
 const RAYS: u32 = 6;
@@ -77,7 +80,7 @@ impl<'a> Probe<'a> {
         sampler.load(texels, id);
         let scramble = hash_seed(&[seed, 0x6f70_656e, id as u64]);
         let t = &texels.texels[id];
-        Probe { visibility, sampler, back: t.back, cover: COVER * t.area.sqrt(), scramble, rays: 0 }
+        Probe { visibility, sampler, back: t.back, cover: (COVER * t.area.sqrt()).max(LEAST_COVER), scramble, rays: 0 }
     }
 
     /// Whether all rays from point `k` meet backs or a cover.
@@ -85,6 +88,10 @@ impl<'a> Probe<'a> {
         let u = |d: usize| unit_f32(sobol(k, d, self.scramble));
         let (triangle, uv) = self.sampler.sample(Vec2::new(u(0), u(1)));
         let at = Receiver::new(self.visibility.world, triangle, uv, self.back, false);
+        self.rays += 1;
+        if covered(self.visibility, &at, self.cover) {
+            return true;
+        }
         (0..RAYS).all(|j| {
             self.rays += 1;
             let v = |d| unit_f32(sobol(k * RAYS + j, d, self.scramble));
@@ -100,6 +107,13 @@ impl<'a> Probe<'a> {
         let n = (0..POINTS).filter(|&k| self.buried(k)).count();
         1.0 - n as f32 / POINTS as f32
     }
+}
+
+/// Whether a surface that light does not pass lies upon the point, less than `cover` above it.
+fn covered(visibility: &Visibility, at: &Receiver, cover: f32) -> bool {
+    let ray = Ray { origin: at.origin, direction: at.geometric_normal, t_max: cover };
+    let passes = |t: u32| visibility.world.flags[t as usize].has(SurfaceFlags::PASSES_LIGHT);
+    visibility.accel.closest(&ray).is_some_and(|hit| !passes(hit.triangle))
 }
 
 /// Whether a ray meets a back, or a surface nearer than `cover`.
