@@ -17,6 +17,10 @@ const BLEND_REACH: f32 = 1.2;
 /// Cells whose normals are further apart than this have nothing to do with each other.
 const LEAST_COSINE: f32 = 0.7;
 
+/// Nor cells that lie above each other: by more than this share of their distance, along the mean of their normals,
+/// in which cells of an arc are level.
+const MOST_STEEP: f32 = 0.25;
+
 /// A cell with the moments that fits need. All about `centre`.
 #[derive(Debug, Clone, Copy)]
 struct Cell {
@@ -76,6 +80,13 @@ pub fn reconstruct(
         cells.order[range.clone()].iter().for_each(|&k| sides[k as usize] = cell.side);
     }
     (out, sides)
+}
+
+/// Whether two cells may be parts of one smooth surface: turned to the same side, and neither above the other.
+fn alike(a: &Cell, b: &Cell) -> bool {
+    let d = b.centre - a.centre;
+    let above = (a.normal + b.normal).normalize_or_zero().dot(d).abs();
+    a.normal.dot(b.normal) >= LEAST_COSINE && above <= MOST_STEEP * d.length()
 }
 
 impl Cell {
@@ -223,8 +234,7 @@ impl CellIndex {
             }
             if to - from == 1 {
                 let other = &cells[from];
-                let alike = || other.normal.dot(own.normal) >= LEAST_COSINE;
-                if from == i || alike() && linked(&own.middle, &other.middle, accel) {
+                if from == i || alike(own, other) && linked(&own.middle, &other.middle, accel) {
                     found.push(from as u32);
                 }
                 continue;

@@ -31,6 +31,16 @@ pub struct Element {
 /// box but not the facets of a smooth shape of 40 degrees.
 const MAX_NORMAL_EXTENT: f32 = 0.7;
 
+/// Surface at two heights over its own plane is split there first where they are further apart than this many sides
+/// of a texel, ...
+const LEAST_STEP: f32 = 1.5;
+
+/// ... than this share of the node's width, ...
+const THICK: f32 = 0.1;
+
+/// ... and the gap is at least this share of its thickness.
+const LEAST_GAP: f32 = 0.2;
+
 /// Of the side of a whole texel; its border is at 0.5.
 const REACH: f32 = 0.4;
 
@@ -231,17 +241,41 @@ fn partition(elements: &mut [Element]) -> usize {
     let by_normal = sizes[1].max_element() > MAX_NORMAL_EXTENT || sizes[0].max_element() <= 0.0;
     let which = usize::from(by_normal);
     let axis = longest(sizes[which]);
-    let key = |e: &Element| if by_normal { e.normal[axis] } else { e.position[axis] };
-    let plane = dividing_plane(elements, lo[which][axis], hi[which][axis], key);
+    let m = if let Some((normal, plane)) = step(elements, sizes[0].max_element()).filter(|_| !by_normal) {
+        to_front(elements, |e| e.position.dot(normal) < plane)
+    } else {
+        let key = |e: &Element| if by_normal { e.normal[axis] } else { e.position[axis] };
+        let plane = dividing_plane(elements, lo[which][axis], hi[which][axis], key).middle;
+        to_front(elements, |e| key(e) < plane)
+    };
+    // Nothing to tell them apart by: halve them as they stand.
+    if m == 0 || m == elements.len() { elements.len() / 2 } else { m }
+}
+
+/// Moves the elements that `first` holds for to the front; their number.
+fn to_front(elements: &mut [Element], first: impl Fn(&Element) -> bool) -> usize {
     let mut m = 0;
     for i in 0..elements.len() {
-        if key(&elements[i]) < plane {
+        if first(&elements[i]) {
             elements.swap(i, m);
             m += 1;
         }
     }
-    // Nothing to tell them apart by: halve them as they stand.
-    if m == 0 || m == elements.len() { elements.len() / 2 } else { m }
+    m
+}
+
+/// The plane between two sheets that lie above each other or beside a step, as a normal and a distance, if elements
+/// `width` across do.
+fn step(elements: &[Element], width: f32) -> Option<(Vec3, f32)> {
+    let normal = elements.iter().map(|e| e.normal).sum::<Vec3>().normalize_or_zero();
+    let height = |e: &Element| e.position.dot(normal);
+    let (lo, hi) = elements.iter().map(height).fold((f32::INFINITY, f32::NEG_INFINITY), |r, h| (r.0.min(h), r.1.max(h)));
+    let texel = elements[0].area.sqrt();
+    if hi - lo < (LEAST_STEP * texel).max(THICK * width) {
+        return None;
+    }
+    let gap = dividing_plane(elements, lo, hi, height);
+    (gap.length >= LEAST_STEP * texel && gap.length >= LEAST_GAP * (hi - lo)).then_some((normal, gap.middle))
 }
 
 fn longest(size: Vec3) -> usize {
@@ -254,10 +288,16 @@ fn longest(size: Vec3) -> usize {
     }
 }
 
-/// The middle of the longest gap whose own middle lies in the middle half of `lo..hi`, the nearest to the middle
-/// of equally long ones; the middle where there is no gap. Planes never run through a sheet of surface that
+/// An interval without elements.
+struct Gap {
+    middle: f32,
+    length: f32,
+}
+
+/// The longest gap whose own middle lies in the middle half of `lo..hi`, the nearest to the middle
+/// of equally long ones; none, in the middle, where there is no gap. Planes never run through a sheet of surface that
 /// rounding has made uneven, for beside it there is a gap.
-fn dividing_plane(elements: &[Element], lo: f32, hi: f32, key: impl Fn(&Element) -> f32) -> f32 {
+fn dividing_plane(elements: &[Element], lo: f32, hi: f32, key: impl Fn(&Element) -> f32) -> Gap {
     const SLOTS: usize = 32;
     let scale = SLOTS as f32 / (hi - lo);
     let mut filled = 0u32;
@@ -278,7 +318,7 @@ fn dividing_plane(elements: &[Element], lo: f32, hi: f32, key: impl Fn(&Element)
         }
         k += length.max(1);
     }
-    lo + best.2 as f32 * 0.5 / scale
+    Gap { middle: lo + best.2 as f32 * 0.5 / scale, length: best.0 as f32 / scale }
 }
 
 #[cfg(test)]
@@ -340,10 +380,10 @@ mod tests {
     fn a_plane_lies_in_a_gap_and_not_in_a_sheet() {
         let at = |x: f32| element(0, Vec3::new(x, 0.0, 0.0), Vec3::Y);
         let sheets: Vec<Element> = [0.0, 0.5 - 1e-7, 0.5 + 1e-7, 1.0].map(at).to_vec();
-        let plane = dividing_plane(&sheets, 0.0, 1.0, |e| e.position.x);
+        let plane = dividing_plane(&sheets, 0.0, 1.0, |e| e.position.x).middle;
         assert!((plane - 0.5).abs() > 0.1, "{plane}");
         let dense: Vec<Element> = (0..1000).map(|i| at(i as f32 / 999.0)).collect();
-        assert_eq!(dividing_plane(&dense, 0.0, 1.0, |e| e.position.x), 0.5);
+        assert_eq!(dividing_plane(&dense, 0.0, 1.0, |e| e.position.x).middle, 0.5);
     }
 
     #[test]
