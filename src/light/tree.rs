@@ -47,6 +47,9 @@ impl Node {
     }
 }
 
+/// Generations that are looked at inside a group that surrounds the point.
+const LOOK_INSIDE: u32 = 5;
+
 /// The tree. An empty one draws nothing.
 #[derive(Debug, Default)]
 pub struct LightTree {
@@ -108,6 +111,16 @@ impl LightTree {
         }
     }
 
+    /// About the irradiance that a node sends. Around the point a group's box says little: a lamp at arm's length
+    /// may be in it, or all of them far; its children are weighed instead, `levels` deep.
+    fn weigh(&self, node: u32, at: (Vec3, Vec3), levels: u32) -> f32 {
+        let n = &self.nodes[node as usize];
+        if n.right == 0 || levels == 0 || n.centre.distance_squared(at.0) > n.bound2 {
+            return importance(n, at.0, at.1);
+        }
+        self.weigh(n.left, at, levels - 1) + self.weigh(n.right, at, levels - 1)
+    }
+
     /// Draws in the part [`from`, `from + width`) of a node: its probability is `width` over the number of draws.
     fn descend(
         &self,
@@ -126,7 +139,7 @@ impl LightTree {
             visit(left, drawn / width);
             return;
         }
-        let [a, b] = [left, right].map(|c| f64::from(importance(&self.nodes[c as usize], at.0, at.1)));
+        let [a, b] = [left, right].map(|c| f64::from(self.weigh(c, at, LOOK_INSIDE)));
         if a + b > 0.0 {
             let share = width * (a / (a + b));
             self.descend(left, (from, share), u, at, visit);
