@@ -5,7 +5,7 @@ use crate::accuracy::TexelWeights;
 use crate::atlas::{self, Atlas, Texels};
 use crate::cell::SurfaceTree;
 use crate::error::{BakeError, Warning};
-use crate::light::{COVER, Emitters, LightSettings, Lighting, Visibility, open_shares};
+use crate::light::{COVER, Emitters, LightSettings, Lighting, Visibility, covering_texels, open_shares};
 use crate::lightmap::Lightmap;
 use crate::observer::{Observer, Stage};
 use crate::options::{BakeOptions, Lights, TexelValue};
@@ -63,7 +63,7 @@ fn bake_here<'s>(scene: &'s Scene, options: &BakeOptions, observer: &mut dyn Obs
     observer.stage(Stage::Prepare);
     atlas::check_memory(scene, &atlas, options.memory_limit)?;
     let mut world = World::new(scene);
-    let coincident = part_coincident(&mut world);
+    let parted = part_coincident(&mut world);
     let texels = Texels::new(&world, &atlas);
     seconds.texels = clock.lap();
     go_on(observer)?;
@@ -97,8 +97,10 @@ fn bake_here<'s>(scene: &'s Scene, options: &BakeOptions, observer: &mut dyn Obs
     clock.lap();
 
     observer.stage(Stage::Finish);
-    let lightmap = Lightmap::new(&world, &atlas, &texels, &solution, options);
+    let covering = covering_texels(&texels, &visibility, &open);
+    let lightmap = Lightmap::new(&world, &atlas, &texels, &covering, &solution, options);
     let mut report = report(&world, &atlas, &texels, &open, &solution, &lighting, options);
+    report.warnings.extend(coincident_warning(&world, &parted));
     (report.work.emissive_triangles, report.work.lights) = emitters.counts();
     report.work.probe_rays = probe_rays;
     if emitters.is_empty() {
@@ -209,6 +211,26 @@ fn back_warnings<'a>(scene: &'a Scene, solution: &'a Solution) -> impl Iterator<
             );
             Warning::new("lit-from-behind", what)
         })
+    })
+}
+
+/// Says which nodes have triangles that lie in the plane of others.
+fn coincident_warning(world: &World, parted: &[u32]) -> Option<Warning> {
+    const NAMED: usize = 4;
+    let mut counts = std::collections::BTreeMap::<u32, usize>::new();
+    parted.iter().for_each(|&t| *counts.entry(world.refs[t as usize].instance).or_default() += 1);
+    let mut nodes: Vec<(u32, usize)> = counts.into_iter().collect();
+    nodes.sort_by_key(|n| (std::cmp::Reverse(n.1), n.0));
+    let name = |n: &(u32, usize)| format!("{} ({})", world.scene.instances[n.0 as usize].name, n.1);
+    let named: Vec<String> = nodes.iter().take(NAMED).map(name).collect();
+    let more = if nodes.len() > NAMED { ", ..." } else { "" };
+    (!parted.is_empty()).then(|| {
+        let what = format!(
+            "{} triangles lie in the plane of others and were moved behind them by a hair: of node {}{more}; move such              surfaces apart, or delete what is hidden",
+            parted.len(),
+            named.join(", ")
+        );
+        Warning::new("coincident-surfaces", what)
     })
 }
 

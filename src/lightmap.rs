@@ -37,8 +37,16 @@ use crate::scene::World;
 use crate::solve::Solution;
 
 impl Lightmap {
-    /// The maps of a solution: stored sides on their pages, buried texels and gutters filled from around.
-    pub fn new(world: &World, atlas: &Atlas, texels: &Texels, solution: &Solution, options: &BakeOptions) -> Lightmap {
+    /// The maps of a solution: stored sides on their pages, buried texels and gutters filled from around; of each
+    /// pair of `covering` the first, buried, shows the light of the second, that lies upon it.
+    pub fn new(
+        world: &World,
+        atlas: &Atlas,
+        texels: &Texels,
+        covering: &[(u32, u32)],
+        solution: &Solution,
+        options: &BakeOptions,
+    ) -> Lightmap {
         let split = options.double_sided == crate::options::DoubleSided::Split
             && texels.texels[..texels.mapped].iter().any(|t| t.back);
         let metres2 = world.frame.metres * world.frame.metres;
@@ -73,6 +81,15 @@ impl Lightmap {
             page.half_difference[at] = solution.total.difference(i).to_array();
             page.coverage[at] = t.coverage;
             page.area[at] = (f64::from(t.area) * metres2) as f32;
+        }
+        for &(under, upon) in covering.iter().filter(|c| solution.weights.stored[c.1 as usize]) {
+            let (page, x, y) = texels.page_position(under as usize);
+            let page = &mut pages[page];
+            let at = (y * page.width + x) as usize;
+            if page.coverage[at] == 0.0 && !(split && texels.texels[under as usize].back) {
+                page.irradiance[at] = solution.total.mean(upon as usize).to_array();
+                page.coverage[at] = texels.texels[under as usize].coverage;
+            }
         }
         pages.iter_mut().for_each(|p| fill_gutters(p, atlas.gutter));
         Lightmap { pages }

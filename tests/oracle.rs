@@ -37,6 +37,9 @@ const AIM: f64 = 0.03;
 /// Relative deviation that f32 arithmetic may leave in a texel without any noise.
 const ROUNDING: f64 = 1e-4;
 
+/// A surface less than this share of a texel's side above another covers it.
+const COVER: f32 = 1.0 / 32.0;
+
 /// Texels of the same chart over which the bake's own noise is averaged.
 const NEIGHBOURS: usize = 64;
 
@@ -120,7 +123,17 @@ fn own_variance(bake: &Bake, all: &[usize], position: usize, level: f64) -> f64 
     }
     let known = count >= NEIGHBOURS / 4 && noise > 0.0;
     let per_level = if known { noise / light } else { photon_flux(bake) };
-    per_level * level / area[all[position]]
+    // What smoothing adds is known per mesh only.
+    (per_level * level / area[all[position]]).max(stated_square(bake, all[position]))
+}
+
+/// Square of the error that the bake states for the mesh of a texel.
+fn stated_square(bake: &Bake, texel: usize) -> f64 {
+    let instance = bake.solution.weights.instance[texel] as usize;
+    let floor = 0.01 * bake.solution.error.mean;
+    let of = |m: &&evenlight::accuracy::MeshError| m.instance == instance;
+    let rms = |m: &evenlight::accuracy::MeshError| m.error_percent / 100.0 * m.mean.max(floor);
+    bake.solution.meshes.iter().find(of).map_or(0.0, |m| rms(m).powi(2))
 }
 
 /// What one photon adds to the stored mean of a texel, times the texel's area [lux x frame units squared].
@@ -135,13 +148,14 @@ fn photon_flux(bake: &Bake) -> f64 {
 fn trace(bake: &Bake, tracer: &SceneTracer, texel: usize, paths: usize, random: &mut Random) -> Option<(f64, f64)> {
     let mut sampler = TexelSampler::default();
     sampler.load(&bake.texels, texel);
-    let back = bake.texels.texels[texel].back;
+    let t = &bake.texels.texels[texel];
+    let (back, cover) = (t.back, COVER * t.area.sqrt());
     let (mut sum, mut square) = (0.0, 0.0);
     for _ in 0..paths {
         let open = (0..200).find_map(|_| {
             let (triangle, uv) = sampler.sample(Vec2::new(random.unit() as f32, random.unit() as f32));
             let at = tracer.point(triangle, uv, back);
-            (!tracer.buried(&at, random)).then_some(at)
+            (!tracer.buried(&at, cover, random)).then_some(at)
         });
         let e = tracer.irradiance(open?, random).element_sum() / 3.0;
         sum += e;

@@ -269,7 +269,8 @@ fn to_front(elements: &mut [Element], first: impl Fn(&Element) -> bool) -> usize
 fn step(elements: &[Element], width: f32) -> Option<(Vec3, f32)> {
     let normal = elements.iter().map(|e| e.normal).sum::<Vec3>().normalize_or_zero();
     let height = |e: &Element| e.position.dot(normal);
-    let (lo, hi) = elements.iter().map(height).fold((f32::INFINITY, f32::NEG_INFINITY), |r, h| (r.0.min(h), r.1.max(h)));
+    let (lo, hi) =
+        elements.iter().map(height).fold((f32::INFINITY, f32::NEG_INFINITY), |r, h| (r.0.min(h), r.1.max(h)));
     let texel = elements[0].area.sqrt();
     if hi - lo < (LEAST_STEP * texel).max(THICK * width) {
         return None;

@@ -8,7 +8,7 @@
 
 use super::receiver::Receiver;
 use super::visibility::Visibility;
-use crate::accel::{PARTING, Ray};
+use crate::accel::{Hit, PARTING, Ray};
 use crate::atlas::{TexelSampler, Texels};
 use crate::sampling::{cosine_hemisphere, hash_seed, sobol, unit_f32};
 use crate::scene::SurfaceFlags;
@@ -54,6 +54,26 @@ pub fn open_shares(texels: &Texels, visibility: &Visibility, seed: u64) -> (Vec<
     (shares.into_iter().map(|s| s.0).collect(), rays)
 }
 
+/// Texels of the map without open surface that lie under a sheet turned to the same side, each with the texel of
+/// that sheet: seen through it, as z-fighting does, they should show the same light.
+pub fn covering_texels(texels: &Texels, visibility: &Visibility, open: &[f32]) -> Vec<(u32, u32)> {
+    let found: Vec<Option<u32>> = map_texels(texels, |sampler, id| {
+        if open[id] > 0.0 {
+            return None;
+        }
+        let t = &texels.texels[id];
+        sampler.load(texels, id);
+        let (triangle, uv) = sampler.sample(Vec2::splat(0.5));
+        let at = Receiver::new(visibility.world, triangle, uv, t.back, false);
+        let hit = cover_above(visibility, &at, cover_height(t.area))?;
+        let front = visibility.world.normals[hit.triangle as usize].dot(at.geometric_normal) > 0.0;
+        let two_sided = visibility.world.flags[hit.triangle as usize].has(SurfaceFlags::DOUBLE_SIDED);
+        (front || two_sided).then(|| texels.at(hit.triangle, !front, Vec2::new(hit.u, hit.v)))?
+    });
+    let pair = |(id, by): (usize, Option<u32>)| by.map(|by| (id as u32, by));
+    found.into_iter().enumerate().filter_map(pair).filter(|p| (p.1 as usize) < texels.mapped).collect()
+}
+
 fn map_texels<T: Send>(texels: &Texels, f: impl Fn(&mut TexelSampler, usize) -> T + Sync + Send) -> Vec<T> {
     (0..texels.mapped).into_par_iter().map_init(TexelSampler::default, f).collect()
 }
@@ -80,7 +100,7 @@ impl<'a> Probe<'a> {
         sampler.load(texels, id);
         let scramble = hash_seed(&[seed, 0x6f70_656e, id as u64]);
         let t = &texels.texels[id];
-        Probe { visibility, sampler, back: t.back, cover: (COVER * t.area.sqrt()).max(LEAST_COVER), scramble, rays: 0 }
+        Probe { visibility, sampler, back: t.back, cover: cover_height(t.area), scramble, rays: 0 }
     }
 
     /// Whether all rays from point `k` meet backs or a cover.
@@ -89,7 +109,7 @@ impl<'a> Probe<'a> {
         let (triangle, uv) = self.sampler.sample(Vec2::new(u(0), u(1)));
         let at = Receiver::new(self.visibility.world, triangle, uv, self.back, false);
         self.rays += 1;
-        if covered(self.visibility, &at, self.cover) {
+        if cover_above(self.visibility, &at, self.cover).is_some() {
             return true;
         }
         (0..RAYS).all(|j| {
@@ -109,11 +129,16 @@ impl<'a> Probe<'a> {
     }
 }
 
-/// Whether a surface that light does not pass lies upon the point, less than `cover` above it.
-fn covered(visibility: &Visibility, at: &Receiver, cover: f32) -> bool {
+/// Height below which a surface covers a texel of this area [frame units].
+fn cover_height(area: f32) -> f32 {
+    (COVER * area.sqrt()).max(LEAST_COVER)
+}
+
+/// The surface that lies upon the point, less than `cover` above it, if light does not pass it.
+fn cover_above(visibility: &Visibility, at: &Receiver, cover: f32) -> Option<Hit> {
     let ray = Ray { origin: at.origin, direction: at.geometric_normal, t_max: cover };
     let passes = |t: u32| visibility.world.flags[t as usize].has(SurfaceFlags::PASSES_LIGHT);
-    visibility.accel.closest(&ray).is_some_and(|hit| !passes(hit.triangle))
+    visibility.accel.closest(&ray).filter(|hit| !passes(hit.triangle))
 }
 
 /// Whether a ray meets a back, or a surface nearer than `cover`.

@@ -67,8 +67,14 @@ impl<'b> SceneTracer<'b> {
         Point { origin, normal }
     }
 
-    /// True if all that the point sees is backs that absorb: it lies inside a solid.
-    pub fn buried(&self, at: &Point, random: &mut Random) -> bool {
+    /// True if a surface lies upon the point, nearer than `cover` [frame units], or all that the point sees is backs
+    /// that absorb: it lies inside a solid.
+    pub fn buried(&self, at: &Point, cover: f32, random: &mut Random) -> bool {
+        let up = Ray { origin: at.origin, direction: at.normal, t_max: cover };
+        let blocks = |t: u32| !self.world.flags[t as usize].has(SurfaceFlags::PASSES_LIGHT);
+        if self.accel.closest(&up).is_some_and(|hit| blocks(hit.triangle)) {
+            return true;
+        }
         (0..LOOKS).all(|_| {
             let direction = cosine_direction(at.normal, random);
             let ray = Ray { origin: at.origin, direction, t_max: f32::INFINITY };
