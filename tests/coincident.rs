@@ -75,7 +75,15 @@ fn both_surfaces_show_the_light_of_the_one_in_front() {
             let [lo, hi] = [uvs[0], uvs[2]].map(|uv| (uv * PAGE as f32).round().as_uvec2());
             if std::env::var_os("EVP").is_some() {
                 println!("{case} node {node}");
-                for row in lo.y..hi.y { println!("{}", (lo.x..hi.x).map(|c| format!("{:.1}", page.irradiance[(row * PAGE + c) as usize][1])).collect::<Vec<_>>().join(" ")); }
+                for row in lo.y..hi.y {
+                    println!(
+                        "{}",
+                        (lo.x..hi.x)
+                            .map(|c| format!("{:.1}", page.irradiance[(row * PAGE + c) as usize][1]))
+                            .collect::<Vec<_>>()
+                            .join(" ")
+                    );
+                }
             }
             let mut sum = 0.0;
             for (row, column) in (lo.y..hi.y).flat_map(|y| (lo.x..hi.x).map(move |x| (y, x))) {

@@ -53,7 +53,7 @@ impl Stage<'_> {
 
     fn extend(&self, direct: &mut Direct, seed: u64, more: impl Fn(usize, usize) -> u32 + Sync) {
         let visibility = Visibility::new(&self.world, &self.accel);
-        direct.extend(&more, seed, false, &self.texels, (&self.emitters, &visibility));
+        direct.extend(&more, seed, false, &self.texels, (&self.emitters, &visibility, &[]));
     }
 
     /// Two samples per texel and half, then as many again as were taken so far, `rounds` times.

@@ -1,6 +1,7 @@
 //! Direct light of every texel in two halves, and where photons start.
 
 use super::emitters::{Emitters, SAMPLE_DIMENSIONS};
+use super::open::{cover_above, cover_height};
 use super::receiver::Receiver;
 use super::visibility::Visibility;
 use crate::atlas::{TexelSampler, Texels};
@@ -144,12 +145,13 @@ impl Direct {
         seed: u64,
         smooth: bool,
         texels: &Texels,
-        light: (&Emitters, &Visibility),
+        light: (&Emitters, &Visibility, &[f32]),
     ) {
         self.extend(&|_, _| samples, seed, smooth, texels, light);
     }
 
-    /// Takes `more(half, texel)` samples in each half of each texel. Sample k of a texel is point k of a
+    /// Takes `more(half, texel)` samples in each half of each texel. `open` is the open share of those on the map:
+    /// where it is below 1, points that another surface lies upon receive and send out nothing. Sample k of a texel is point k of a
     /// scrambled Sobol sequence of the texel's own, so that all samples so far stay evenly spread.
     pub fn extend(
         &mut self,
@@ -157,7 +159,7 @@ impl Direct {
         seed: u64,
         smooth: bool,
         texels: &Texels,
-        (emitters, visibility): (&Emitters, &Visibility),
+        (emitters, visibility, open): (&Emitters, &Visibility, &[f32]),
     ) {
         let [odd, even] = &mut self.halves;
         let (samples, rays) = odd
@@ -174,13 +176,15 @@ impl Direct {
                         continue;
                     }
                     sampler.load(texels, id);
-                    let back = texels.texels[id].back;
+                    let t = &texels.texels[id];
+                    let cover = (open.get(id).is_some_and(|&o| o < 1.0)).then(|| cover_height(t.area));
                     for (h, half) in [halves.0, halves.1].into_iter().enumerate() {
                         let key = hash_mix(seed, (id as u64) << 1 | h as u64);
                         let points = Points { seed: hash_seed(&[key]), key };
                         let mut squares = 0.0;
                         for k in half.samples..half.samples + counts[h] {
-                            squares += half.add(points, k, &sampler, back, smooth, emitters, visibility, &mut rays);
+                            squares +=
+                                half.add(points, k, &sampler, (t.back, cover), smooth, emitters, visibility, &mut rays);
                         }
                         if half.samples == 0 && counts[h] > 1 {
                             let mean2 = half.stored.length_squared() / 3.0 + half.exitance * half.exitance;
@@ -250,7 +254,7 @@ impl HalfTexel {
         points: Points,
         k: u32,
         sampler: &TexelSampler,
-        back: bool,
+        (back, cover): (bool, Option<f32>),
         smooth: bool,
         emitters: &Emitters,
         visibility: &Visibility,
@@ -260,6 +264,12 @@ impl HalfTexel {
         let u = |d: usize| unit_f32(sobol(k, d, points.seed));
         let (triangle, uv) = sampler.sample(Vec2::new(u(0), u(1)));
         let at = Receiver::new(visibility.world, triangle, uv, back, smooth);
+        if let Some(height) = cover {
+            *rays += 1;
+            if cover_above(visibility, &at, height).is_some() {
+                return 0.0;
+            }
+        }
         let mut stream = Stream::new(hash_mix(points.key, u64::from(k)));
         let light = emitters.sample(&at, visibility, |d| u(d + 2), &mut stream, rays);
         if !light.stored.is_finite() || !light.transported.is_finite() {

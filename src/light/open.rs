@@ -130,12 +130,12 @@ impl<'a> Probe<'a> {
 }
 
 /// Height below which a surface covers a texel of this area [frame units].
-fn cover_height(area: f32) -> f32 {
+pub fn cover_height(area: f32) -> f32 {
     (COVER * area.sqrt()).max(LEAST_COVER)
 }
 
 /// The surface that lies upon the point, less than `cover` above it, if light does not pass it.
-fn cover_above(visibility: &Visibility, at: &Receiver, cover: f32) -> Option<Hit> {
+pub(super) fn cover_above(visibility: &Visibility, at: &Receiver, cover: f32) -> Option<Hit> {
     let ray = Ray { origin: at.origin, direction: at.geometric_normal, t_max: cover };
     let passes = |t: u32| visibility.world.flags[t as usize].has(SurfaceFlags::PASSES_LIGHT);
     visibility.accel.closest(&ray).filter(|hit| !passes(hit.triangle))

@@ -1,6 +1,7 @@
 //! Deposits into texels: the replaceable last stage of the photon walk.
 
 use crate::atlas::Texels;
+use crate::light::cover_height;
 use crate::scene::World;
 use glam::{Vec2, Vec3};
 use std::sync::atomic::{AtomicI64, Ordering::Relaxed};
@@ -18,6 +19,8 @@ pub struct Deposit {
     pub flux: [u32; 3],
     /// Unit direction in which the photon travels.
     pub direction: Vec3,
+    /// How far it came [frame units].
+    pub distance: f32,
 }
 
 /// What one photon, or many, left behind.
@@ -40,6 +43,7 @@ pub trait DepositSink: Sync {
 pub struct Bins<'t> {
     texels: &'t Texels,
     world: &'t World<'t>,
+    open: &'t [f32],
     halves: [Vec<[AtomicI64; 3]>; 2],
     backs: Vec<AtomicI64>,
 }
@@ -48,16 +52,24 @@ impl<'t> Bins<'t> {
     /// Bytes per texel of both halves.
     pub const BYTES_PER_TEXEL: usize = 2 * size_of::<[AtomicI64; 3]>();
 
-    /// Empty bins for the texels of the map.
-    pub fn new(world: &'t World<'t>, texels: &'t Texels) -> Bins<'t> {
+    /// Empty bins for the texels of the map, `open` the open share of each: where it is below 1, light between
+    /// the texel and a surface that lies upon it is not counted.
+    pub fn new(world: &'t World<'t>, texels: &'t Texels, open: &'t [f32]) -> Bins<'t> {
         let empty = || (0..texels.mapped).map(|_| Default::default()).collect();
         let backs = world.scene.instances.iter().map(|_| AtomicI64::new(0)).collect();
-        Bins { texels, world, halves: [empty(), empty()], backs }
+        Bins { texels, world, open, halves: [empty(), empty()], backs }
     }
 
     /// Flux over the three channels that each instance's backs took up.
     pub fn back_flux(&self) -> Vec<i64> {
         self.backs.iter().map(|b| b.load(Relaxed)).collect()
+    }
+
+    /// Whether a photon comes from a surface that lies upon the texel.
+    fn from_cover(&self, texel: usize, d: &Deposit) -> bool {
+        let area = self.texels.texels[texel].area;
+        let height = d.distance * self.world.normals[d.triangle as usize].dot(d.direction).abs();
+        self.open[texel] < 1.0 && height < cover_height(area) && d.distance < area.sqrt()
     }
 
     /// Flux of a texel, one half.
@@ -75,6 +87,7 @@ impl DepositSink for Bins<'_> {
         for d in &trail.deposits {
             if let Some(texel) = self.texels.at(d.triangle, d.back, d.uv)
                 && (texel as usize) < self.texels.mapped
+                && !self.from_cover(texel as usize, d)
             {
                 let bin = &self.halves[half][texel as usize];
                 bin.iter().zip(d.flux).for_each(|(sum, flux)| {

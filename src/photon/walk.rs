@@ -63,6 +63,7 @@ pub fn walk(
                 uv,
                 flux: photon.flux,
                 direction: photon.ray.direction,
+                distance: hit.t,
             });
             add(&mut ledger.deposited, photon.flux);
             ledger.deposits += 1;

@@ -166,7 +166,7 @@ pub fn solve(
         began,
         weights,
         direct: Direct::new(path.texels.texels.len()),
-        bins: Bins::new(path.visibility.world, path.texels),
+        bins: Bins::new(path.visibility.world, path.texels, path.open),
         flux: None,
         starts: None,
         gathered: vec![0; instances],
@@ -237,20 +237,21 @@ impl Solver<'_, '_> {
     /// Traces one round; the name of the limit that ended it early.
     fn trace(&mut self, round: &Round) -> Result<Option<&'static str>, BakeError> {
         let smooth = self.options.normals == Normals::Smooth;
-        let LightPath { texels, emitters, visibility, .. } = self.path;
+        let LightPath { texels, open, emitters, visibility, .. } = self.path;
+        let light = (emitters, visibility, open);
         let mut left = round.samples;
         while left > 0 {
             let started = Instant::now();
             let budget = left.min(MOST_SAMPLES_AT_ONCE);
             if self.direct.samples() == 0 {
-                self.direct.extend_all(FIRST_SAMPLES, self.options.seed, smooth, texels, (emitters, visibility));
+                self.direct.extend_all(FIRST_SAMPLES, self.options.seed, smooth, texels, light);
                 left = 0;
             } else {
                 let counts =
                     |texel: usize| self.weights.instance.get(texel).map_or(1.0, |&i| self.importance[i as usize]);
                 let more = self.direct.allocate(budget, texels, counts);
                 let counts = |half: usize, texel: usize| more[half][texel];
-                self.direct.extend(&counts, self.options.seed, smooth, texels, (emitters, visibility));
+                self.direct.extend(&counts, self.options.seed, smooth, texels, light);
                 left -= budget;
             }
             self.seconds[0] += started.elapsed().as_secs_f64();
@@ -268,7 +269,7 @@ impl Solver<'_, '_> {
         if self.flux.is_some_and(|f| !f.holds(total)) {
             // The first direct samples missed nearly all of the light: so did the photons they started.
             self.flux = None;
-            self.bins = Bins::new(visibility.world, texels);
+            self.bins = Bins::new(visibility.world, texels, open);
             self.ledger = EnergyLedger::default();
             self.photons = 0;
             self.gathered_at.fill((0, 0));
