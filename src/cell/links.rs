@@ -87,9 +87,9 @@ impl Cells {
     }
 }
 
-/// True if nothing stands between two texels, and neither lies under a sheet that is open above.
+/// True if two texels are surrounded alike and nothing stands between them.
 pub fn linked(a: &Element, b: &Element, accel: &Accel) -> bool {
-    if a.under != b.under {
+    if a.setting != b.setting {
         return false;
     }
     let distance = a.position.distance(b.position);

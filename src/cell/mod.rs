@@ -13,7 +13,7 @@ mod tree;
 
 pub use bias::{Bias, bias};
 pub use gather::Gather;
-pub use tree::{Element, Node, SurfaceTree};
+pub use tree::{Element, Node, Setting, SurfaceTree};
 
 use crate::accel::Accel;
 use choose::{choose, dispersion};

@@ -23,8 +23,19 @@ pub struct Element {
     pub area: f32,
     /// Index into [`Texels::texels`].
     pub texel: u32,
-    /// Another surface lies less than a texel above it.
-    pub under: bool,
+    /// What surrounds it.
+    pub setting: Setting,
+}
+
+/// What surrounds a texel. Those of different settings have nothing to do with each other's light.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
+pub enum Setting {
+    /// Open space.
+    Free,
+    /// Another surface just above.
+    Under,
+    /// A wall that stands on it.
+    Astride,
 }
 
 /// A node with more spread of normals than this, along any axis, is split by normal: 0.7 parts the sides of a
@@ -78,31 +89,28 @@ impl SurfaceTree {
     /// texel that a wall stands on has light of both sides and belongs to neither. Nor has a sheet that lies just
     /// under another anything to do with that one's light, though it is as near as the next texel.
     pub fn new(world: &World, texels: &Texels, open: &[f32], accel: &Accel) -> SurfaceTree {
-        let mut elements: Vec<(Setting, Element)> = (0..texels.mapped)
+        let mut elements: Vec<Element> = (0..texels.mapped)
             .into_par_iter()
             .map_init(TexelSampler::default, |sampler, i| {
                 let t = &texels.texels[i];
                 sampler.load(texels, i);
                 let (position, normal) = sampler.centre(world);
                 let normal = if t.back { -normal } else { normal };
-                let mut e = Element { position, normal, area: t.area * open[i], texel: i as u32, under: false };
-                e.under = under(&e, accel);
+                let setting = Setting::Free;
+                let mut e = Element { position, normal, area: t.area * open[i], texel: i as u32, setting };
                 // Where a border cuts a texel it is not known how far it reaches.
-                let setting = if t.coverage > WHOLE && open[i] == 1.0 && astride(&e, accel) {
-                    Setting::Astride
-                } else if e.under {
-                    Setting::Under
-                } else {
-                    Setting::Free
-                };
-                (setting, e)
+                if t.coverage > WHOLE && open[i] == 1.0 && astride(&e, accel) {
+                    e.setting = Setting::Astride;
+                } else if under(&e, accel) {
+                    e.setting = Setting::Under;
+                }
+                e
             })
-            .filter(|(_, e)| e.area > 0.0)
+            .filter(|e| e.area > 0.0)
             .collect();
-        elements.sort_by_key(|(setting, _)| *setting);
-        let count = |of: Setting| elements.iter().filter(|(setting, _)| *setting == of).count();
+        elements.sort_by_key(|e| e.setting);
+        let count = |of: Setting| elements.iter().filter(|e| e.setting == of).count();
         let parts = [Setting::Free, Setting::Under, Setting::Astride].map(count);
-        let mut elements: Vec<Element> = elements.into_iter().map(|(_, e)| e).collect();
         let mut middle = vec![0; (2 * elements.len()).saturating_sub(1)];
         build_parts(&mut elements, &mut middle, 0, &parts);
         SurfaceTree { elements, middle }
@@ -164,17 +172,6 @@ impl SurfaceTree {
         }
         found
     }
-}
-
-/// What surrounds a texel.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
-enum Setting {
-    /// Open space.
-    Free,
-    /// Another surface just above.
-    Under,
-    /// A wall that stands on it.
-    Astride,
 }
 
 /// Whether another surface lies less than a texel's side above the middle of a texel.
@@ -333,7 +330,7 @@ mod tests {
     }
 
     fn element(texel: u32, position: Vec3, normal: Vec3) -> Element {
-        Element { position, normal, area: 1.0, texel, under: false }
+        Element { position, normal, area: 1.0, texel, setting: Setting::Free }
     }
 
     #[test]
