@@ -45,6 +45,9 @@ const MOST_GROWTH: f64 = 5.0;
 /// light then does not run ahead of them.
 const MOST_REDUCTION: f64 = 2.6;
 
+/// Meshes gather once the error over all is below this many times its target.
+const GATHER_FROM: f64 = 1.5;
+
 /// Cost of a direct sample in rays of photons: lamps are weighed and texels clipped besides.
 const SAMPLE_COST: f64 = 2.0;
 
@@ -375,7 +378,10 @@ impl Solver<'_, '_> {
         if s.mesh_percent > mesh_target {
             let plan = plan_meshes(&s.missed, s.meshes.len() / 20, mesh_target / 100.0, spent.photon_cost * y);
             y *= plan.photons;
-            round.gather = plan.gather;
+            // Light is gathered from what photons found: not before that is about good enough by itself.
+            if s.error.high <= GATHER_FROM * target {
+                round.gather = plan.gather;
+            }
             round.direct = plan.direct;
             // As if samples were spread evenly: those of a mesh grow by its factor.
             let per_texel = samples / self.path.texels.texels.len().max(1) as f64;
@@ -395,15 +401,18 @@ impl Solver<'_, '_> {
         let most = |n: u64| (n as f64 * (MOST_GROWTH - 1.0)) as u64;
         wish.samples = wish.samples.min(most(self.direct.samples()));
         wish.photons = wish.photons.min(most(self.photons)).next_multiple_of(1 << LEAST_NET_BITS);
-        // The cheapest meshes first, for about as many rays as the rest of the round may take.
+        // The cheapest meshes first, for about as many rays as the rest of the round may take; one at least where there
+        // is nothing else to do.
         let allowed = most(self.rays()) as f64;
+        let idle = wish.samples == 0 && wish.photons == 0;
         let only = |g: &(usize, u32)| Round { gather: vec![*g], ..Round::default() };
         let mut costs: Vec<(f64, (usize, u32))> = wish.gather.iter().map(|g| (self.cost(&only(g)), *g)).collect();
         costs.sort_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
         let mut sum = 0.0;
         let affordable = costs.into_iter().take_while(|c| {
+            let first = sum == 0.0;
             sum += c.0;
-            sum <= allowed
+            sum <= allowed || (first && idle)
         });
         wish.gather = affordable.map(|c| c.1).collect();
         wish.gather.iter().for_each(|&(instance, rays)| self.gathered[instance] = rays);
