@@ -73,18 +73,6 @@ fn both_surfaces_show_the_light_of_the_one_in_front() {
         for node in nodes {
             let uvs = &scene.meshes[node].primitives[0].tex_coords[1];
             let [lo, hi] = [uvs[0], uvs[2]].map(|uv| (uv * PAGE as f32).round().as_uvec2());
-            if std::env::var_os("EVP").is_some() {
-                println!("{case} node {node}");
-                for row in lo.y..hi.y {
-                    println!(
-                        "{}",
-                        (lo.x..hi.x)
-                            .map(|c| format!("{:.1}", page.irradiance[(row * PAGE + c) as usize][1]))
-                            .collect::<Vec<_>>()
-                            .join(" ")
-                    );
-                }
-            }
             let mut sum = 0.0;
             for (row, column) in (lo.y..hi.y).flat_map(|y| (lo.x..hi.x).map(move |x| (y, x))) {
                 let e = f64::from(page.irradiance[(row * PAGE + column) as usize][1]);

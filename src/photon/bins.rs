@@ -66,7 +66,7 @@ impl<'t> Bins<'t> {
     }
 
     /// Whether a photon comes from a surface that lies upon the texel.
-    fn from_cover(&self, texel: usize, d: &Deposit) -> bool {
+    fn cover_sends(&self, texel: usize, d: &Deposit) -> bool {
         let area = self.texels.texels[texel].area;
         let height = d.distance * self.world.normals[d.triangle as usize].dot(d.direction).abs();
         self.open[texel] < 1.0 && height < cover_height(area) && d.distance < area.sqrt()
@@ -87,7 +87,7 @@ impl DepositSink for Bins<'_> {
         for d in &trail.deposits {
             if let Some(texel) = self.texels.at(d.triangle, d.back, d.uv)
                 && (texel as usize) < self.texels.mapped
-                && !self.from_cover(texel as usize, d)
+                && !self.cover_sends(texel as usize, d)
             {
                 let bin = &self.halves[half][texel as usize];
                 bin.iter().zip(d.flux).for_each(|(sum, flux)| {
