@@ -385,6 +385,25 @@ mod tests {
     }
 
     #[test]
+    fn sheets_above_each_other_come_apart_first() {
+        // 40 x 40 texels of side 1, and 10 x 10 more 5 above their middle.
+        let sheet = |n: u32, corner: f32, height: f32| {
+            (0..n * n)
+                .map(move |i| element(i, Vec3::new(corner + (i % n) as f32, height, corner + (i / n) as f32), Vec3::Y))
+        };
+        let tree = tree_of(sheet(40, 0.0, 0.0).chain(sheet(10, 15.0, 5.0)).collect());
+        let level = |n: &Node| {
+            let first = tree.elements[n.elements.start].position.y;
+            tree.elements[n.elements.clone()].iter().all(|e| e.position.y == first)
+        };
+        assert_eq!(tree.cut(level).len(), 2);
+        // What is low for its width, as tiles of a floor are, is split as if it were flat.
+        let tree = tree_of(sheet(40, 0.0, 0.0).chain(sheet(10, 15.0, 2.0)).collect());
+        let halves = tree.children(&tree.root()).unwrap();
+        assert!(halves.iter().all(|n| n.elements.len() > 400));
+    }
+
+    #[test]
     fn what_cannot_be_told_apart_is_halved() {
         let tree = tree_of((0..33).map(|i| element(i, Vec3::ONE, Vec3::Z)).collect());
         assert_eq!(tree.len(), 65);

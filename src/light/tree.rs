@@ -47,7 +47,10 @@ impl Node {
     }
 }
 
-/// Generations that are looked at inside a group that surrounds the point.
+/// A group's box says little where its sphere is nearer than its radius: its squared distance in squared radii.
+const NEAR: f32 = 4.0;
+
+/// Generations that are looked at inside such a group.
 const LOOK_INSIDE: u32 = 5;
 
 /// The tree. An empty one draws nothing.
@@ -111,11 +114,11 @@ impl LightTree {
         }
     }
 
-    /// About the irradiance that a node sends. Around the point a group's box says little: a lamp at arm's length
-    /// may be in it, or all of them far; its children are weighed instead, `levels` deep.
+    /// About the irradiance that a node sends. In a group near or around the point may be a lamp at arm's length, or
+    /// none: its children are weighed instead, `levels` deep.
     fn weigh(&self, node: u32, at: (Vec3, Vec3), levels: u32) -> f32 {
         let n = &self.nodes[node as usize];
-        if n.right == 0 || levels == 0 || n.centre.distance_squared(at.0) > n.bound2 {
+        if n.right == 0 || levels == 0 || n.centre.distance_squared(at.0) > NEAR * n.bound2 {
             return importance(n, at.0, at.1);
         }
         self.weigh(n.left, at, levels - 1) + self.weigh(n.right, at, levels - 1)
@@ -255,5 +258,35 @@ mod tests {
         for (i, f) in found.iter().enumerate() {
             assert!((f - 1.0).abs() < 0.02, "light {i}: {f}");
         }
+    }
+
+    /// A small lamp at arm's length in the midst of many far ones: it sends most of the light and is drawn as often.
+    #[test]
+    fn a_near_lamp_among_far_ones_is_drawn_by_what_it_sends() {
+        let lamp = |at: Vec3, power: f32| LightBounds {
+            lo: at - Vec3::splat(0.01),
+            hi: at + Vec3::splat(0.01),
+            power,
+            axis: Vec3::NEG_Y,
+            cos_spread: 1.0,
+            two_sided: false,
+            all_around: true,
+        };
+        let far = (0..64).map(|i| lamp(Vec3::new((i % 8) as f32 - 3.5, 3.0, (i / 8) as f32 - 3.5) * 2.0, 10.0));
+        let lights: Vec<LightBounds> = far.chain([lamp(Vec3::new(0.0, 0.1, 0.0), 2.0)]).collect();
+        let tree = LightTree::new(&lights);
+        let p = Vec3::ZERO;
+        let sent = |l: &LightBounds| {
+            let to = (l.lo + l.hi) * 0.5 - p;
+            f64::from(l.power * to.normalize().y / to.length_squared())
+        };
+        let total: f64 = lights.iter().map(sent).sum();
+        let mut chance = 0.0;
+        let n = 4096;
+        for k in 0..n {
+            tree.draw(p, Vec3::Y, 1, (k as f32 + 0.5) / n as f32, |i, _| chance += f64::from(u8::from(i == 64)));
+        }
+        let (chance, share) = (chance / f64::from(n), sent(&lights[64]) / total);
+        assert!(share > 0.8 && chance > 0.5 * share, "drawn {chance}, sends {share}");
     }
 }
