@@ -82,7 +82,7 @@ impl Lightmap {
             page.coverage[at] = t.coverage;
             page.area[at] = (f64::from(t.area) * metres2) as f32;
         }
-        for &(under, upon) in covering.iter().filter(|c| solution.weights.stored[c.1 as usize]) {
+        for &(under, upon) in covering {
             let (page, x, y) = texels.page_position(under as usize);
             let page = &mut pages[page];
             let at = (y * page.width + x) as usize;

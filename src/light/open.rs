@@ -71,7 +71,12 @@ pub fn covering_texels(texels: &Texels, visibility: &Visibility, open: &[f32]) -
         (front || two_sided).then(|| texels.at(hit.triangle, !front, Vec2::new(hit.u, hit.v)))?
     });
     let pair = |(id, by): (usize, Option<u32>)| by.map(|by| (id as u32, by));
-    found.into_iter().enumerate().filter_map(pair).filter(|p| (p.1 as usize) < texels.mapped).collect()
+    found
+        .into_iter()
+        .enumerate()
+        .filter_map(pair)
+        .filter(|p| open.get(p.1 as usize).is_some_and(|&o| o > 0.0))
+        .collect()
 }
 
 fn map_texels<T: Send>(texels: &Texels, f: impl Fn(&mut TexelSampler, usize) -> T + Sync + Send) -> Vec<T> {
