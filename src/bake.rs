@@ -5,7 +5,7 @@ use crate::accuracy::TexelWeights;
 use crate::atlas::{self, Atlas, Texels};
 use crate::cell::SurfaceTree;
 use crate::error::{BakeError, Warning};
-use crate::light::{COVER, Emitters, LightSettings, Lighting, Visibility, covering_texels, open_shares};
+use crate::light::{COVER, Emitters, LightSettings, Lighting, Visibility, open_shares, shown_texels};
 use crate::lightmap::Lightmap;
 use crate::observer::{Observer, Stage};
 use crate::options::{BakeOptions, Lights, TexelValue};
@@ -74,6 +74,7 @@ fn bake_here<'s>(scene: &'s Scene, options: &BakeOptions, observer: &mut dyn Obs
     let emitters =
         Emitters::new(&world, &lighting, LightSettings { indirect_only: options.lights == Lights::Indirect });
     let (open, probe_rays) = open_shares(&texels, &visibility, options.seed);
+    let shown = shown_texels(&texels, &visibility, &open);
     seconds.open = clock.lap();
     go_on(observer)?;
 
@@ -87,6 +88,7 @@ fn bake_here<'s>(scene: &'s Scene, options: &BakeOptions, observer: &mut dyn Obs
     let path = LightPath {
         texels: &texels,
         open: &open,
+        shown: &shown,
         tree: &tree,
         crevice: pitch as f32 * COVER,
         emitters: &emitters,
@@ -97,8 +99,7 @@ fn bake_here<'s>(scene: &'s Scene, options: &BakeOptions, observer: &mut dyn Obs
     clock.lap();
 
     observer.stage(Stage::Finish);
-    let covering = covering_texels(&texels, &visibility, &open);
-    let lightmap = Lightmap::new(&world, &atlas, &texels, &covering, &solution, options);
+    let lightmap = Lightmap::new(&world, &atlas, &texels, &shown, &solution, options);
     let mut report = report(&world, &atlas, &texels, &open, &solution, &lighting, options);
     report.warnings.extend(coincident_warning(&world, &parted));
     (report.work.emissive_triangles, report.work.lights) = emitters.counts();
@@ -226,7 +227,8 @@ fn coincident_warning(world: &World, parted: &[u32]) -> Option<Warning> {
     let more = if nodes.len() > NAMED { ", ..." } else { "" };
     (!parted.is_empty()).then(|| {
         let what = format!(
-            "{} triangles lie in the plane of others and were moved behind them by a hair: of node {}{more}; move such              surfaces apart, or delete what is hidden",
+            "{} triangles lie in the plane of others and were moved in front of them by a hair: of node {}{more}; move \
+             such surfaces apart, or delete what is hidden",
             parted.len(),
             named.join(", ")
         );

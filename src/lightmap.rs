@@ -37,13 +37,13 @@ use crate::scene::World;
 use crate::solve::Solution;
 
 impl Lightmap {
-    /// The maps of a solution: stored sides on their pages, buried texels and gutters filled from around; of each
-    /// pair of `covering` the first, buried, shows the light of the second, that lies upon it.
+    /// The maps of a solution: stored sides on their pages, buried texels and gutters filled from around. `shown` is
+    /// the texel whose light each texel shows: another than itself where that lies upon it.
     pub fn new(
         world: &World,
         atlas: &Atlas,
         texels: &Texels,
-        covering: &[(u32, u32)],
+        shown: &[u32],
         solution: &Solution,
         options: &BakeOptions,
     ) -> Lightmap {
@@ -82,13 +82,15 @@ impl Lightmap {
             page.coverage[at] = t.coverage;
             page.area[at] = (f64::from(t.area) * metres2) as f32;
         }
-        for &(under, upon) in covering {
-            let (page, x, y) = texels.page_position(under as usize);
+        for (under, &upon) in shown.iter().enumerate().filter(|s| s.0 != *s.1 as usize) {
+            let (page, x, y) = texels.page_position(under);
             let page = &mut pages[page];
             let at = (y * page.width + x) as usize;
-            if page.coverage[at] == 0.0 && !(split && texels.texels[under as usize].back) {
+            let t = &texels.texels[under];
+            // What another side of the same place shows is left as it is.
+            if (page.coverage[at] == 0.0 || solution.weights.stored[under]) && !(split && t.back) {
                 page.irradiance[at] = solution.total.mean(upon as usize).to_array();
-                page.coverage[at] = texels.texels[under as usize].coverage;
+                page.coverage[at] = t.coverage;
             }
         }
         pages.iter_mut().for_each(|p| fill_gutters(p, atlas.gutter));

@@ -2,7 +2,7 @@
 
 mod common;
 
-use common::rooms::{Builder, plain, run};
+use common::rooms::{Builder, mean_where, plain, run};
 use evenlight::BakeOptions;
 use evenlight::options::{Smoothing, TexelValue};
 use evenlight::scene::{Material, Scene};
@@ -87,6 +87,69 @@ fn both_surfaces_show_the_light_of_the_one_in_front() {
             let mean = sum / f64::from((hi - lo).element_product());
             assert!((mean / truth - 1.0).abs() < 0.02, "{case}: node {node} has {mean} on average, not {truth}");
         }
+    }
+}
+
+/// A lamp let into a ceiling lights the floor as one just below does, whichever sides both have and whatever touches
+/// the ceiling from outside.
+#[test]
+fn a_lamp_in_the_plane_of_the_ceiling_shines() {
+    let floor_light = |ceiling_sides: bool, lamp_sides: bool, lamp_up: bool, drop: f32| {
+        let mut b = Builder::new(PAGE);
+        let sided = |b: &mut Builder, two_sided: bool, radiance: f32| {
+            b.material(Material {
+                base_color: Vec4::new(0.0, 0.0, 0.0, 1.0),
+                emission: Vec3::splat(radiance),
+                double_sided: two_sided,
+                ..Material::default()
+            })
+        };
+        let ceiling = sided(&mut b, ceiling_sides, 0.0);
+        let lamp = sided(&mut b, lamp_sides, 5.0);
+        let cap = sided(&mut b, true, 0.0);
+        let (x, z) = (Vec3::X * 3.1, Vec3::Z * 2.7);
+        let height = Vec3::Y * 1.9;
+        let floor = b.quad("floor", Vec3::ZERO, z, x, ceiling, [16, 16]);
+        b.quad("ceiling", height, x, z, ceiling, [16, 16]);
+        let at = height + 0.3 * x + 0.4 * z - Vec3::Y * drop;
+        if lamp_up {
+            b.quad("lamp", at, 0.2 * z, 0.2 * x, lamp, [4, 4]);
+        } else {
+            b.quad("lamp", at, 0.2 * x, 0.2 * z, lamp, [4, 4]);
+        }
+        b.quad("foot of a column", height + 0.1 * x + 0.1 * z, 0.8 * z, 0.15 * x, cap, [4, 8]);
+        let scene = b.finish();
+        let bake = run(&scene, &BakeOptions { texel_value: TexelValue::Open, ..plain(PAGE, 5.0) });
+        mean_where(&bake, floor, |_| true).0
+    };
+    for (ceiling, lamp, up) in [(false, false, false), (false, true, false), (false, true, true), (true, true, true)] {
+        let [flush, below] = [0.0, 0.001].map(|drop| floor_light(ceiling, lamp, up, drop));
+        let case = format!("ceiling two-sided {ceiling}, lamp two-sided {lamp}, turned up {up}");
+        assert!((flush / below - 1.0).abs() < 0.02, "{case}: {flush}, not {below}");
+    }
+}
+
+/// Two one-sided walls back to back, with a picture in the plane of one of them: both rooms keep their light.
+#[test]
+fn a_picture_on_one_of_two_walls_back_to_back_darkens_neither() {
+    let light = |picture: bool| {
+        let mut b = Builder::new(PAGE);
+        let m = b.diffuse(0.0, 0.0);
+        let (y, z) = (Vec3::Y * 2.3, Vec3::Z * 3.1);
+        let right = b.quad("right", Vec3::ZERO, y, z, m, [12, 12]);
+        let left = b.quad("left", Vec3::ZERO, z, y, m, [12, 12]);
+        if picture {
+            b.quad("picture", 0.4 * y + 0.3 * z, 0.21 * y, 0.17 * z, m, [5, 5]);
+        }
+        b.point_light(Vec3::new(1.1, 1.0, 1.5), 10.0);
+        b.point_light(Vec3::new(-1.3, 1.0, 1.5), 20.0);
+        let scene = b.finish();
+        let bake = run(&scene, &BakeOptions { texel_value: TexelValue::Open, ..plain(PAGE, 1.0) });
+        [right, left].map(|node| mean_where(&bake, node, |p| p.z < 0.8).0)
+    };
+    let (with, without) = (light(true), light(false));
+    for (a, b) in with.into_iter().zip(without) {
+        assert!(b > 0.5 && (a / b - 1.0).abs() < 0.02, "{with:?}, not {without:?}");
     }
 }
 

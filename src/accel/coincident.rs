@@ -1,28 +1,33 @@
 //! Surfaces at the same place, parted before any ray meets them.
 //!
-//! Two sheets in one plane (a tile modelled onto a wall, a decal, a face that stands in the file twice) are one
-//! surface to the eye, and which of the two a ray meets is decided by rounding: photons would reach one alone, or
-//! stripes of both, while both are lit. Renderers draw decals with a small offset for the same reason. Here, the
-//! one that is to be behind moves back by a few millionths of the scene, so that it lies under the other: it is
-//! covered there, and its texels show the light of what covers it.
+//! Two sheets in one plane (a tile modelled onto a wall, a face that stands in the file twice) are one surface to the
+//! eye, and which of the two a ray meets is decided by rounding: photons would reach one alone, or stripes of both,
+//! while both are lit. Renderers draw decals with a small offset for the same reason. Here, the one that is to be in
+//! front moves forward by a few millionths of the scene: it covers the other there, whose texels show its light. What
+//! moves is the smaller of the two as a rule, so that nothing comes apart that stood together.
 
 use crate::scene::{SurfaceFlags, World};
-use glam::{DVec2, DVec3};
+use glam::{DVec2, DVec3, Vec3};
 use obvhs::BvhBuildParams;
 use obvhs::aabb::Aabb;
 use obvhs::bvh2::{Bvh2, builder::build_bvh2};
 use rayon::prelude::*;
+use std::cmp::Reverse;
 use std::time::Duration;
 
 /// Surfaces nearer than this are at the same place [frame units]: 16 times what f32 coordinates of files near the
 /// origin are rounded to.
 const TOLERANCE: f64 = 1e-6;
 
-/// How far one moves behind the other [frame units]: 4 times the height at which rays start over a surface.
+/// How far one moves in front of the other [frame units]: 4 times the height at which rays start over a surface.
 pub const PARTING: f32 = 128.0 * f32::EPSILON;
 
 /// Sheets upon each other that are told apart.
-const LAYERS: u8 = 7;
+pub const LAYERS: u8 = 7;
+
+/// Of more triangles with the same box than this, only so many are looked at, and as many others in the plane of one.
+const MOST_COPIES: usize = 2 * LAYERS as usize;
+const MOST_BEHIND: usize = 256;
 
 /// Cosine between the normals of one plane's triangles.
 const PARALLEL: f64 = 0.9999;
@@ -30,56 +35,66 @@ const PARALLEL: f64 = 0.9999;
 /// Overlaps of less than this share of the smaller triangle are rounding along a common edge.
 const LEAST_OVERLAP: f64 = 1e-3;
 
-/// Moves each triangle that lies in the plane of another, and is seen from the same side, behind it. Returns the
-/// triangles that moved, in order.
+/// Moves each triangle that lies in the plane of another, and is seen from the same side, in front of it. Returns
+/// the triangles that moved, in order.
 ///
-/// In front are surfaces with one side (those with two are also seen from behind), then emitters, then what light
-/// passes (decals), then the smaller instance, then the earlier triangle.
+/// In front are emitters, then surfaces with one side (those with two are also seen from behind), then the smaller
+/// instance, then the earlier triangle. What light passes stays where it is.
 pub fn part_coincident(world: &mut World) -> Vec<u32> {
-    let seen: Vec<u32> =
-        (0..world.len() as u32).filter(|&t| !world.flags[t as usize].has(SurfaceFlags::UNSEEN)).collect();
     let area: Vec<f64> = world.first_triangle.windows(2).map(|t| (t[0]..t[1]).map(|t| world.area(t)).sum()).collect();
+    let has = |t: u32, f| world.flags[t as usize].has(f);
     let rank = |t: u32| {
-        let (flags, instance) = (world.flags[t as usize], world.refs[t as usize].instance as usize);
-        let has = |f| flags.has(f);
-        let kind = (has(SurfaceFlags::DOUBLE_SIDED), !has(SurfaceFlags::EMITS), !has(SurfaceFlags::PASSES_LIGHT));
-        (kind, area[instance].to_bits(), t)
+        let instance = world.refs[t as usize].instance as usize;
+        (!has(t, SurfaceFlags::EMITS), has(t, SurfaceFlags::DOUBLE_SIDED), area[instance].to_bits(), t)
     };
-    let boxes: Vec<Aabb> = seen.iter().map(|&t| bounds(world, t)).collect();
-    if boxes.is_empty() {
+    let solid = |&t: &u32| !has(t, SurfaceFlags::UNSEEN) && !has(t, SurfaceFlags::PASSES_LIGHT);
+    let mut seen: Vec<u32> = (0..world.len() as u32).filter(solid).collect();
+    seen.par_sort_by_cached_key(|&t| (bounds(world, t), rank(t)));
+    let same_box = |a: &u32, b: &u32| bounds(world, *a) == bounds(world, *b);
+    let seen: Vec<u32> = seen.chunk_by(same_box).flat_map(|copies| copies.iter().take(MOST_COPIES).copied()).collect();
+    if seen.is_empty() {
         return Vec::new();
     }
+    let boxes: Vec<Aabb> = seen.iter().map(|&t| padded(world, t)).collect();
     let tree: Bvh2 = build_bvh2(&boxes, BvhBuildParams::fastest_build(), &mut Duration::default());
-    // For each triangle the ones in front of it.
-    let above: Vec<Vec<u32>> = seen
+    // For each triangle those behind it.
+    let mut pairs: Vec<(u32, Vec<u32>)> = seen
         .par_iter()
         .zip(&boxes)
-        .map(|(&t, bounds)| {
-            let mut found = Vec::new();
-            tree.aabb_traverse(*bounds, |tree, node| {
+        .map(|(&t, around)| {
+            let (own, mut behind) = (rank(t), Vec::new());
+            tree.aabb_traverse(*around, |tree, node| {
                 let node = &tree.nodes[node as usize];
                 for k in node.first_index..node.first_index + node.prim_count {
                     let other = seen[tree.primitive_indices[k as usize] as usize];
-                    if rank(other) < rank(t) && coincide(world, t, other) {
-                        found.push(other);
+                    if own < rank(other) && coincide(world, t, other) {
+                        behind.push(other);
                     }
                 }
-                found.len() < usize::from(LAYERS)
+                behind.len() < MOST_BEHIND
             });
-            found
+            behind.sort_unstable();
+            (t, behind)
+        })
+        .filter(|(_, behind)| !behind.is_empty())
+        .collect();
+    // From the back to the front: each lies one layer above the highest behind it.
+    pairs.sort_by_key(|p| Reverse(rank(p.0)));
+    let mut layers = vec![0u8; world.len()];
+    for (t, behind) in &pairs {
+        let highest = behind.iter().map(|&b| layers[b as usize]).max().unwrap_or(0);
+        layers[*t as usize] = (highest + 1).min(LAYERS);
+    }
+    let mut moves: Vec<(u32, Vec3)> = pairs
+        .iter()
+        .map(|(t, behind)| {
+            // A sheet with two sides goes to the front of what is behind it, of one with a single side before others.
+            let two_sided = |t: &u32| has(*t, SurfaceFlags::DOUBLE_SIDED);
+            let base = behind.iter().min_by_key(|b| (two_sided(b), **b)).filter(|_| two_sided(t)).unwrap_or(t);
+            let forward = world.normals[*base as usize];
+            (*t, forward * (PARTING * f32::from(layers[*t as usize])))
         })
         .collect();
-    let mut below: Vec<(u32, Vec<u32>)> = seen.into_iter().zip(above).filter(|(_, a)| !a.is_empty()).collect();
-    below.sort_by_key(|b| rank(b.0));
-    let mut depth = std::collections::HashMap::new();
-    let mut moves = Vec::with_capacity(below.len());
-    for (t, above) in below {
-        let of = |o: &u32| depth.get(o).copied().unwrap_or(0u8);
-        let deepest = above.iter().max_by_key(|o| (of(o), **o)).copied().unwrap_or(t);
-        let layer = (of(&deepest) + 1).min(LAYERS);
-        depth.insert(t, layer);
-        moves.push((t, world.normals[deepest as usize] * -(PARTING * f32::from(layer))));
-    }
     moves.sort_by_key(|m| m.0);
     for &(t, by) in &moves {
         world.positions[t as usize].iter_mut().for_each(|p| *p += by);
@@ -87,7 +102,14 @@ pub fn part_coincident(world: &mut World) -> Vec<u32> {
     moves.into_iter().map(|m| m.0).collect()
 }
 
-fn bounds(world: &World, t: u32) -> Aabb {
+/// Lower and upper corner of a triangle's box, as bits.
+fn bounds(world: &World, t: u32) -> [[u32; 3]; 2] {
+    let [a, b, c] = world.positions[t as usize];
+    // -0 and 0 are the same place.
+    [a.min(b).min(c), a.max(b).max(c)].map(|p| (p + Vec3::ZERO).to_array().map(f32::to_bits))
+}
+
+fn padded(world: &World, t: u32) -> Aabb {
     let [a, b, c] = world.positions[t as usize].map(|p| p.to_vec3a());
     let pad = glam::Vec3A::splat(TOLERANCE as f32);
     Aabb::new(a.min(b).min(c) - pad, a.max(b).max(c) + pad)

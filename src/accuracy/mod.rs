@@ -13,4 +13,4 @@ mod plan;
 
 pub use estimate::{Halves, Known, MeshError, TexelError, TexelWeights, mesh_errors, texel_error};
 pub use interval::{chi_square_quantile, normal_quantile};
-pub use plan::{GATHER_AGAIN, MeshPlan, Missed, Spent, cheapest_growth, gather_cost, plan_meshes};
+pub use plan::{GATHER_AGAIN, MeshPlan, Missed, Spent, cheapest_growth, gather_rays, plan_meshes};

@@ -74,10 +74,10 @@ pub struct MeshPlan {
 /// Cost of a gather ray in rays of photons: rays of one texel go everywhere, and look light up (measured 1.7 to 4).
 const GATHER_RAY_COST: f64 = 2.5;
 
-/// Cost, in rays of photons, of gathering with `samples` for each texel and half: in each half one ray that looks
-/// around and one towards the light.
-pub fn gather_cost(samples: f64, texels: usize) -> f64 {
-    4.0 * GATHER_RAY_COST * samples * texels as f64
+/// Rays that texels take to gather with `samples` each per half: in each half one that looks around and one towards
+/// the light.
+pub fn gather_rays(samples: f64, texels: usize) -> f64 {
+    4.0 * samples * texels as f64
 }
 
 /// Squared relative scatter of one gather sample, before it was measured.
@@ -103,7 +103,7 @@ pub fn plan_meshes(missed: &[Missed], spared: usize, target: f64, photon_cost: f
         0 => first.ceil(),
         n => (f64::from(n) * (m.indirect / SHARE * 1.1).min(GATHER_GROWTH)).min(*GATHER_RANGE.end()).ceil(),
     };
-    let cost = |m: &Missed| gather_cost(samples(m), m.texels);
+    let cost = |m: &Missed| GATHER_RAY_COST * gather_rays(samples(m), m.texels);
     let mut meshes: Vec<&Missed> = missed.iter().collect();
     meshes.sort_by(|a, b| cost(b).total_cmp(&cost(a)).then(a.instance.cmp(&b.instance)));
     let meshes = &meshes[spared.min(meshes.len())..];

@@ -9,7 +9,7 @@
 
 use crate::accel::{Ray, offset_origin};
 use crate::atlas::{TexelSampler, Texels};
-use crate::light::{Direct, Emitters, Receiver, SAMPLE_DIMENSIONS, START_SLOTS, Visibility};
+use crate::light::{Direct, Emitters, Receiver, SAMPLE_DIMENSIONS, START_SLOTS, Visibility, cover_height, covered};
 use crate::photon::StartTable;
 use crate::sampling::{Stream, cosine_hemisphere, hash_mix, hash_seed, sobol, unit_f32};
 use crate::scene::SurfaceFlags;
@@ -69,6 +69,7 @@ impl Gather<'_> {
         let key = hash_mix(hash_mix(self.seed, 0x6761_7468_6572), (texel as u64) << 1 | half as u64);
         let scramble = hash_seed(&[key]);
         let back = self.texels.texels[texel].back;
+        let cover = (self.open[texel] < 1.0).then(|| cover_height(self.texels.texels[texel].area));
         let lit = self.starts[half].total() > 0.0;
         sampler.load(self.texels, texel);
         let (mut sum, mut rays) = (Vec3::ZERO, 0);
@@ -77,6 +78,10 @@ impl Gather<'_> {
             let mut stream = Stream::new(hash_mix(key, u64::from(k)));
             let (triangle, uv) = sampler.sample(Vec2::new(u(0), u(1)));
             let at = Receiver::new(world, triangle, uv, back, false);
+            if cover.is_some_and(|height| covered(self.visibility, &at, height)) {
+                rays += 1;
+                continue;
+            }
             let direction = cosine_hemisphere(at.geometric_normal, Vec2::new(u(2), u(3)));
             sum += self.along(half, &at, direction, &mut stream, &mut rays);
             if lit {

@@ -7,7 +7,7 @@
 use crate::accel::{Accel, Ray, offset_origin};
 use crate::atlas::{TexelSampler, Texels};
 use crate::sampling::orthonormal_basis;
-use crate::scene::World;
+use crate::scene::{SurfaceFlags, World};
 use glam::Vec3;
 use rayon::prelude::*;
 use std::ops::Range;
@@ -99,9 +99,9 @@ impl SurfaceTree {
                 let setting = Setting::Free;
                 let mut e = Element { position, normal, area: t.area * open[i], texel: i as u32, setting };
                 // Where a border cuts a texel it is not known how far it reaches.
-                if t.coverage > WHOLE && open[i] == 1.0 && astride(&e, accel) {
+                if open[i] == 1.0 && t.coverage > WHOLE && astride(&e, accel) {
                     e.setting = Setting::Astride;
-                } else if under(&e, accel) {
+                } else if open[i] == 1.0 && under(&e, world, accel) {
                     e.setting = Setting::Under;
                 }
                 e
@@ -174,10 +174,12 @@ impl SurfaceTree {
     }
 }
 
-/// Whether another surface lies less than a texel's side above the middle of a texel.
-fn under(e: &Element, accel: &Accel) -> bool {
+/// Whether another surface, which light does not pass, lies less than a texel's side above the middle of a texel.
+fn under(e: &Element, world: &World, accel: &Accel) -> bool {
     let origin = offset_origin(e.position, e.normal, 1.0);
-    accel.occluded(&Ray { origin, direction: e.normal, t_max: e.area.sqrt() })
+    let passes = |t: u32| world.flags[t as usize].has(SurfaceFlags::PASSES_LIGHT);
+    let up = Ray { origin, direction: e.normal, t_max: e.area.sqrt() };
+    accel.closest(&up).is_some_and(|hit| !passes(hit.triangle))
 }
 
 /// Whether something stands on the middle of a texel, which reaches at least [`REACH`] of its side to all sides.
@@ -238,7 +240,8 @@ fn partition(elements: &mut [Element]) -> usize {
     let by_normal = sizes[1].max_element() > MAX_NORMAL_EXTENT || sizes[0].max_element() <= 0.0;
     let which = usize::from(by_normal);
     let axis = longest(sizes[which]);
-    let m = if let Some((normal, plane)) = step(elements, sizes[0].max_element()).filter(|_| !by_normal) {
+    let step = if by_normal { None } else { step(elements, sizes[0].max_element()) };
+    let m = if let Some((normal, plane)) = step {
         to_front(elements, |e| e.position.dot(normal) < plane)
     } else {
         let key = |e: &Element| if by_normal { e.normal[axis] } else { e.position[axis] };
@@ -268,7 +271,7 @@ fn step(elements: &[Element], width: f32) -> Option<(Vec3, f32)> {
     let height = |e: &Element| e.position.dot(normal);
     let (lo, hi) =
         elements.iter().map(height).fold((f32::INFINITY, f32::NEG_INFINITY), |r, h| (r.0.min(h), r.1.max(h)));
-    let texel = elements[0].area.sqrt();
+    let texel = (elements.iter().map(|e| e.area).sum::<f32>() / elements.len() as f32).sqrt();
     if hi - lo < (LEAST_STEP * texel).max(THICK * width) {
         return None;
     }

@@ -1,7 +1,7 @@
 //! Direct light of every texel in two halves, and where photons start.
 
 use super::emitters::{Emitters, SAMPLE_DIMENSIONS};
-use super::open::{cover_above, cover_height};
+use super::open::{cover_height, covered};
 use super::receiver::Receiver;
 use super::visibility::Visibility;
 use crate::atlas::{TexelSampler, Texels};
@@ -70,7 +70,7 @@ impl Direct {
         self.samples
     }
 
-    /// Shadow rays so far.
+    /// Shadow rays so far, and those that looked for covers.
     pub fn rays(&self) -> u64 {
         self.rays
     }
@@ -266,7 +266,7 @@ impl HalfTexel {
         let at = Receiver::new(visibility.world, triangle, uv, back, smooth);
         if let Some(height) = cover {
             *rays += 1;
-            if cover_above(visibility, &at, height).is_some() {
+            if covered(visibility, &at, height) {
                 return 0.0;
             }
         }

@@ -8,7 +8,7 @@
 
 use super::receiver::Receiver;
 use super::visibility::Visibility;
-use crate::accel::{Hit, PARTING, Ray};
+use crate::accel::{Hit, LAYERS, PARTING, Ray};
 use crate::atlas::{TexelSampler, Texels};
 use crate::sampling::{cosine_hemisphere, hash_seed, sobol, unit_f32};
 use crate::scene::SurfaceFlags;
@@ -28,7 +28,7 @@ const POINTS: u32 = 64;
 pub const COVER: f32 = 1.0 / 32.0;
 
 /// A surface that was parted from another in its plane lies under it, however small texels are [frame units].
-const LEAST_COVER: f32 = 2.0 * PARTING;
+const LEAST_COVER: f32 = (LAYERS as f32 + 1.0) * PARTING;
 
 /// Rays that must all meet backs or a cover for a point to be buried.
 const RAYS: u32 = 6;
@@ -54,29 +54,30 @@ pub fn open_shares(texels: &Texels, visibility: &Visibility, seed: u64) -> (Vec<
     (shares.into_iter().map(|s| s.0).collect(), rays)
 }
 
-/// Texels of the map without open surface that lie under a sheet turned to the same side, each with the texel of
-/// that sheet: seen through it, as z-fighting does, they should show the same light.
-pub fn covering_texels(texels: &Texels, visibility: &Visibility, open: &[f32]) -> Vec<(u32, u32)> {
-    let found: Vec<Option<u32>> = map_texels(texels, |sampler, id| {
-        if open[id] > 0.0 {
-            return None;
-        }
-        let t = &texels.texels[id];
-        sampler.load(texels, id);
-        let (triangle, uv) = sampler.sample(Vec2::splat(0.5));
-        let at = Receiver::new(visibility.world, triangle, uv, t.back, false);
-        let hit = cover_above(visibility, &at, cover_height(t.area))?;
-        let front = visibility.world.normals[hit.triangle as usize].dot(at.geometric_normal) > 0.0;
-        let two_sided = visibility.world.flags[hit.triangle as usize].has(SurfaceFlags::DOUBLE_SIDED);
-        (front || two_sided).then(|| texels.at(hit.triangle, !front, Vec2::new(hit.u, hit.v)))?
+/// For each texel of the map the one whose light it shows: its own, unless it has no open surface and lies under a
+/// sheet turned to the same side. Seen through that, as z-fighting does, it should look the same.
+pub fn shown_texels(texels: &Texels, visibility: &Visibility, open: &[f32]) -> Vec<u32> {
+    let above: Vec<u32> = map_texels(texels, |sampler, id| {
+        let above = || {
+            let t = &texels.texels[id];
+            sampler.load(texels, id);
+            let (triangle, uv) = sampler.sample(Vec2::splat(0.5));
+            let at = Receiver::new(visibility.world, triangle, uv, t.back, false);
+            let hit = cover_above(visibility, &at, cover_height(t.area))?;
+            let front = visibility.world.normals[hit.triangle as usize].dot(at.geometric_normal) > 0.0;
+            let two_sided = visibility.world.flags[hit.triangle as usize].has(SurfaceFlags::DOUBLE_SIDED);
+            let by = (front || two_sided).then(|| texels.at(hit.triangle, !front, Vec2::new(hit.u, hit.v)))??;
+            ((by as usize) < texels.mapped).then_some(by)
+        };
+        let covered = open[id] == 0.0;
+        covered.then(above).flatten().unwrap_or(id as u32)
     });
-    let pair = |(id, by): (usize, Option<u32>)| by.map(|by| (id as u32, by));
-    found
-        .into_iter()
-        .enumerate()
-        .filter_map(pair)
-        .filter(|p| open.get(p.1 as usize).is_some_and(|&o| o > 0.0))
-        .collect()
+    // Through all the sheets that lie upon each other, up to one that is open.
+    let top = |id: usize| {
+        let top = (0..LAYERS).fold(id as u32, |at, _| above[at as usize]);
+        if open[top as usize] > 0.0 { top } else { id as u32 }
+    };
+    (0..texels.mapped).map(top).collect()
 }
 
 fn map_texels<T: Send>(texels: &Texels, f: impl Fn(&mut TexelSampler, usize) -> T + Sync + Send) -> Vec<T> {
@@ -114,7 +115,7 @@ impl<'a> Probe<'a> {
         let (triangle, uv) = self.sampler.sample(Vec2::new(u(0), u(1)));
         let at = Receiver::new(self.visibility.world, triangle, uv, self.back, false);
         self.rays += 1;
-        if cover_above(self.visibility, &at, self.cover).is_some() {
+        if covered(self.visibility, &at, self.cover) {
             return true;
         }
         (0..RAYS).all(|j| {
@@ -139,8 +140,13 @@ pub fn cover_height(area: f32) -> f32 {
     (COVER * area.sqrt()).max(LEAST_COVER)
 }
 
+/// Whether a surface that light does not pass lies upon the point, less than `height` above it.
+pub fn covered(visibility: &Visibility, at: &Receiver, height: f32) -> bool {
+    cover_above(visibility, at, height).is_some()
+}
+
 /// The surface that lies upon the point, less than `cover` above it, if light does not pass it.
-pub(super) fn cover_above(visibility: &Visibility, at: &Receiver, cover: f32) -> Option<Hit> {
+fn cover_above(visibility: &Visibility, at: &Receiver, cover: f32) -> Option<Hit> {
     let ray = Ray { origin: at.origin, direction: at.geometric_normal, t_max: cover };
     let passes = |t: u32| visibility.world.flags[t as usize].has(SurfaceFlags::PASSES_LIGHT);
     visibility.accel.closest(&ray).filter(|hit| !passes(hit.triangle))

@@ -19,7 +19,7 @@ pub struct Deposit {
     pub flux: [u32; 3],
     /// Unit direction in which the photon travels.
     pub direction: Vec3,
-    /// How far it came [frame units].
+    /// How far it came since it was reflected [frame units].
     pub distance: f32,
 }
 

@@ -41,6 +41,8 @@ pub fn walk(
     add(&mut ledger.emitted, photon.flux);
     ledger.photons += 1;
     let mut crevice_steps = 0;
+    // Distance since the last reflection.
+    let mut gone = 0.0;
     for _ in 0..MAX_SURFACES {
         ledger.rays += 1;
         let Some(hit) = visibility.accel.closest(&photon.ray) else {
@@ -63,7 +65,7 @@ pub fn walk(
                 uv,
                 flux: photon.flux,
                 direction: photon.ray.direction,
-                distance: hit.t,
+                distance: gone + hit.t,
             });
             add(&mut ledger.deposited, photon.flux);
             ledger.deposits += 1;
@@ -103,6 +105,7 @@ pub fn walk(
         let flux = share.map(|f| ((u64::from(f) * u64::from(largest) + heaviest / 2) / heaviest) as u32);
         (0..3).for_each(|c| ledger.roulette[c] += i128::from(flux[c]) - expected[c]);
 
+        gone = if reflects { 0.0 } else { gone + hit.t };
         let facing = if back { -normal } else { normal };
         let (side, direction) = if reflects {
             let u = Vec2::new(crate::sampling::unit_f32(random()), crate::sampling::unit_f32(random()));

@@ -249,7 +249,7 @@ impl Solver<'_, '_> {
                 let mut received = vec![[0f64; 2]; charts];
                 for (i, t) in texels.iter().enumerate() {
                     received[t.chart as usize][usize::from(t.back)] +=
-                        f64::from(t.area) * f64::from(total.mean(i).element_sum());
+                        f64::from(t.area) * f64::from(total.mean(self.path.shown[i] as usize).element_sum());
                 }
                 for (i, t) in texels.iter().enumerate() {
                     let [front, back] = received[t.chart as usize];

@@ -9,7 +9,7 @@
 mod estimate;
 
 use crate::accuracy::{
-    Halves, MeshError, Missed, Spent, TexelError, TexelWeights, cheapest_growth, gather_cost, plan_meshes,
+    Halves, MeshError, Missed, Spent, TexelError, TexelWeights, cheapest_growth, gather_rays, plan_meshes,
 };
 use crate::atlas::Texels;
 use crate::cell::SurfaceTree;
@@ -61,6 +61,8 @@ pub struct LightPath<'a> {
     pub texels: &'a Texels,
     /// Open share of the area of each texel of the map.
     pub open: &'a [f32],
+    /// The texel whose light each texel of the map shows: its own, or that of a sheet that lies upon it.
+    pub shown: &'a [u32],
     /// The surface of the map as a tree.
     pub tree: &'a SurfaceTree,
     /// Width below which a gap between surfaces is none [frame units].
@@ -355,7 +357,7 @@ impl Solver<'_, '_> {
     fn cost(&self, round: &Round) -> f64 {
         let per_sample = self.direct.rays().max(1) as f64 / self.direct.samples().max(1) as f64;
         let per_photon = self.ledger.rays.max(1) as f64 / self.photons.max(1) as f64;
-        let gather: f64 = round.gather.iter().map(|&(i, n)| gather_cost(f64::from(n), self.texels_of[i])).sum();
+        let gather: f64 = round.gather.iter().map(|&(i, n)| gather_rays(f64::from(n), self.texels_of[i])).sum();
         per_sample * round.samples as f64 + per_photon * round.photons as f64 + gather
     }
 
