@@ -88,9 +88,10 @@ pub fn part_coincident(world: &mut World) -> Vec<u32> {
     let mut moves: Vec<(u32, Vec3)> = pairs
         .iter()
         .map(|(t, behind)| {
-            // A sheet with two sides goes to the front of what is behind it, of one with a single side before others.
+            // A sheet with two sides goes to its own front, but before a surface with one, and a lamp before any.
             let two_sided = |t: &u32| has(*t, SurfaceFlags::DOUBLE_SIDED);
-            let base = behind.iter().min_by_key(|b| (two_sided(b), **b)).filter(|_| two_sided(t)).unwrap_or(t);
+            let shows = |b: &&u32| two_sided(t) && (has(*t, SurfaceFlags::EMITS) || !two_sided(b));
+            let base = behind.iter().filter(shows).min_by_key(|b| (two_sided(b), **b)).unwrap_or(t);
             let forward = world.normals[*base as usize];
             (*t, forward * (PARTING * f32::from(layers[*t as usize])))
         })

@@ -6,6 +6,7 @@
 
 use crate::accel::{Accel, Ray, offset_origin};
 use crate::atlas::{TexelSampler, Texels};
+use crate::light::cover_height;
 use crate::sampling::orthonormal_basis;
 use crate::scene::{SurfaceFlags, World};
 use glam::Vec3;
@@ -101,7 +102,7 @@ impl SurfaceTree {
                 // Where a border cuts a texel it is not known how far it reaches.
                 if open[i] == 1.0 && t.coverage > WHOLE && astride(&e, accel) {
                     e.setting = Setting::Astride;
-                } else if open[i] == 1.0 && under(&e, world, accel) {
+                } else if under(&e, world, accel) {
                     e.setting = Setting::Under;
                 }
                 e
@@ -174,12 +175,13 @@ impl SurfaceTree {
     }
 }
 
-/// Whether another surface, which light does not pass, lies less than a texel's side above the middle of a texel.
+/// Whether another surface, which light does not pass, lies less than a texel's side above the middle of a texel, and
+/// not upon it: then the middle is buried, and light falls on what is open beside it.
 fn under(e: &Element, world: &World, accel: &Accel) -> bool {
     let origin = offset_origin(e.position, e.normal, 1.0);
     let passes = |t: u32| world.flags[t as usize].has(SurfaceFlags::PASSES_LIGHT);
     let up = Ray { origin, direction: e.normal, t_max: e.area.sqrt() };
-    accel.closest(&up).is_some_and(|hit| !passes(hit.triangle))
+    accel.closest(&up).is_some_and(|hit| !passes(hit.triangle) && hit.t > cover_height(e.area))
 }
 
 /// Whether something stands on the middle of a texel, which reaches at least [`REACH`] of its side to all sides.

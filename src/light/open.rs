@@ -27,8 +27,9 @@ const POINTS: u32 = 64;
 /// A surface nearer than this share of a texel's side lies upon it.
 pub const COVER: f32 = 1.0 / 32.0;
 
-/// A surface that was parted from another in its plane lies under it, however small texels are [frame units].
-const LEAST_COVER: f32 = (LAYERS as f32 + 1.0) * PARTING;
+/// A surface that was parted from another in its plane lies under it, however small texels are: by one layer, or two
+/// where three sheets meet [frame units].
+const LEAST_COVER: f32 = 3.0 * PARTING;
 
 /// Rays that must all meet backs or a cover for a point to be buried.
 const RAYS: u32 = 6;
