@@ -110,7 +110,7 @@ impl LightTree {
     pub fn draw(&self, p: Vec3, n: Vec3, count: u32, u: f32, mut visit: impl FnMut(u32, f64)) {
         if !self.nodes.is_empty() && importance(&self.nodes[0], p, n) > 0.0 {
             // Draw k stands at k of the interval [0, count) of the root, moved by u.
-            self.descend(0, (0.0, f64::from(count)), f64::from(u), (p, n), &mut visit);
+            self.descend(0, (0.0, f64::from(count)), f64::from(u), (p, n), LOOK_INSIDE, &mut visit);
         }
     }
 
@@ -124,13 +124,14 @@ impl LightTree {
         self.weigh(n.left, at, levels - 1) + self.weigh(n.right, at, levels - 1)
     }
 
-    /// Draws in the part [`from`, `from + width`) of a node: its probability is `width` over the number of draws.
+    /// Draws in the part [`from`, `from + width`) of a node, `levels` of which are looked at: its probability is `width` over the number of draws.
     fn descend(
         &self,
         node: u32,
         (from, width): (f64, f64),
         u: f64,
         at: (Vec3, Vec3),
+        levels: u32,
         visit: &mut impl FnMut(u32, f64),
     ) {
         let drawn = (from + width - u).ceil() - (from - u).ceil();
@@ -142,11 +143,13 @@ impl LightTree {
             visit(left, drawn / width);
             return;
         }
-        let [a, b] = [left, right].map(|c| f64::from(self.weigh(c, at, LOOK_INSIDE)));
+        let [a, b] = [left, right].map(|c| f64::from(self.weigh(c, at, levels - 1)));
         if a + b > 0.0 {
             let share = width * (a / (a + b));
-            self.descend(left, (from, share), u, at, visit);
-            self.descend(right, (from + share, width - share), u, at, visit);
+            // Down to the same generation, and only then further: what was weighed is not weighed for others again.
+            let next = if levels > 1 { levels - 1 } else { LOOK_INSIDE };
+            self.descend(left, (from, share), u, at, next, visit);
+            self.descend(right, (from + share, width - share), u, at, next, visit);
         }
     }
 }

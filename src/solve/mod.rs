@@ -26,8 +26,10 @@ use std::time::Instant;
 /// Direct samples per texel and half of the first round.
 const FIRST_SAMPLES: u32 = 2;
 
-/// Direct samples between two looks at the clock and at what they found.
-const MOST_SAMPLES_AT_ONCE: u64 = 1 << 22;
+/// Direct samples between two looks at the clock and at what they found, at most; or as many for each texel, since a
+/// look goes over all texels.
+const MOST_SAMPLES_AT_ONCE: u64 = 1 << 20;
+const MOST_PER_TEXEL_AT_ONCE: u64 = 4;
 
 /// Photons of the first round per half: 2^(12..16), by the number of texels.
 const FIRST_NET_BITS: std::ops::RangeInclusive<u32> = 12..=16;
@@ -247,7 +249,8 @@ impl Solver<'_, '_> {
         let mut left = round.samples;
         while left > 0 {
             let started = Instant::now();
-            let budget = left.min(MOST_SAMPLES_AT_ONCE);
+            let most = MOST_SAMPLES_AT_ONCE.max(MOST_PER_TEXEL_AT_ONCE * texels.texels.len() as u64);
+            let budget = left.min(most);
             if self.direct.samples() == 0 {
                 self.direct.extend_all(FIRST_SAMPLES, self.options.seed, smooth, texels, light);
                 left = 0;
