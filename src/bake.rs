@@ -83,7 +83,7 @@ fn bake_here<'s>(scene: &'s Scene, options: &BakeOptions, observer: &mut dyn Obs
         TexelValue::Open => TexelWeights::new(&world, &texels, &open),
         TexelValue::Mean => TexelWeights::new(&world, &texels, &vec![1.0; texels.mapped]),
     };
-    let tree = SurfaceTree::new(&world, &texels, &open, &accel);
+    let tree = SurfaceTree::new(&texels, &open, &visibility);
     let pitch = 1.0 / (atlas.texels_per_metre * world.frame.metres);
     let path = LightPath {
         texels: &texels,

@@ -41,10 +41,7 @@ pub(super) fn build(triangles: &[[Vec3; 3]], skip: impl Fn(u32) -> bool) -> (Vec
         m.max(triangles[id as usize].map(|p| p.abs().max_element()).into_iter().fold(0.0, f32::max))
     });
 
-    let bits = |id: u32| {
-        let b = bounds[id as usize];
-        [b.min, b.max].map(|p| p.to_array().map(f32::to_bits))
-    };
+    let bits = |id: u32| bounds[id as usize].bits();
     order.par_sort_unstable_by_key(|&id| (bits(id), id));
     let groups: Vec<&[u32]> = order.chunk_by(|&a, &b| bits(a) == bits(b)).collect();
     // The exponent bits alone are the power of two below; a subnormal extent has none and is scaled like the least.

@@ -6,6 +6,7 @@
 //! front moves forward by a few millionths of the scene: it covers the other there, whose texels show its light. What
 //! moves is the smaller of the two as a rule, so that nothing comes apart that stood together.
 
+use super::wide::Bounds;
 use crate::scene::{SurfaceFlags, World};
 use glam::{DVec2, DVec3, Vec3};
 use obvhs::BvhBuildParams;
@@ -49,13 +50,16 @@ pub fn part_coincident(world: &mut World) -> Vec<u32> {
     };
     let solid = |&t: &u32| !has(t, SurfaceFlags::UNSEEN) && !has(t, SurfaceFlags::PASSES_LIGHT);
     let mut seen: Vec<u32> = (0..world.len() as u32).filter(solid).collect();
-    seen.par_sort_by_cached_key(|&t| (bounds(world, t), rank(t)));
-    let same_box = |a: &u32, b: &u32| bounds(world, *a) == bounds(world, *b);
+    let bounds = |t: u32| Bounds::of(&world.positions[t as usize]);
+    seen.par_sort_by_cached_key(|&t| (bounds(t).bits(), rank(t)));
+    let same_box = |a: &u32, b: &u32| bounds(*a).bits() == bounds(*b).bits();
     let seen: Vec<u32> = seen.chunk_by(same_box).flat_map(|copies| copies.iter().take(MOST_COPIES).copied()).collect();
     if seen.is_empty() {
         return Vec::new();
     }
-    let boxes: Vec<Aabb> = seen.iter().map(|&t| padded(world, t)).collect();
+    let pad = Vec3::splat(TOLERANCE as f32);
+    let padded = |b: Bounds| Aabb::new((b.min - pad).to_vec3a(), (b.max + pad).to_vec3a());
+    let boxes: Vec<Aabb> = seen.iter().map(|&t| padded(bounds(t))).collect();
     let tree: Bvh2 = build_bvh2(&boxes, BvhBuildParams::fastest_build(), &mut Duration::default());
     // For each triangle those behind it.
     let mut pairs: Vec<(u32, Vec<u32>)> = seen
@@ -101,19 +105,6 @@ pub fn part_coincident(world: &mut World) -> Vec<u32> {
         world.positions[t as usize].iter_mut().for_each(|p| *p += by);
     }
     moves.into_iter().map(|m| m.0).collect()
-}
-
-/// Lower and upper corner of a triangle's box, as bits.
-fn bounds(world: &World, t: u32) -> [[u32; 3]; 2] {
-    let [a, b, c] = world.positions[t as usize];
-    // -0 and 0 are the same place.
-    [a.min(b).min(c), a.max(b).max(c)].map(|p| (p + Vec3::ZERO).to_array().map(f32::to_bits))
-}
-
-fn padded(world: &World, t: u32) -> Aabb {
-    let [a, b, c] = world.positions[t as usize].map(|p| p.to_vec3a());
-    let pad = glam::Vec3A::splat(TOLERANCE as f32);
-    Aabb::new(a.min(b).min(c) - pad, a.max(b).max(c) + pad)
 }
 
 /// Whether two triangles lie in one plane, overlap there, and are both seen from one of its sides.

@@ -122,6 +122,11 @@ impl Bounds {
         Bounds { min: a.min(b).min(c), max: a.max(b).max(c) }
     }
 
+    /// Lower and upper corner as bits, to sort and to compare by.
+    pub fn bits(&self) -> [[u32; 3]; 2] {
+        [self.min, self.max].map(|p| p.to_array().map(f32::to_bits))
+    }
+
     /// The box around both.
     pub fn union(self, other: Bounds) -> Bounds {
         Bounds { min: self.min.min(other.min), max: self.max.max(other.max) }

@@ -11,6 +11,7 @@ mod keep;
 mod layout;
 mod memory;
 mod pack;
+mod pieces;
 mod planar;
 mod select;
 mod texels;

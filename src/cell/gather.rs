@@ -9,7 +9,9 @@
 
 use crate::accel::{Ray, offset_origin};
 use crate::atlas::{TexelSampler, Texels};
-use crate::light::{Direct, Emitters, Receiver, SAMPLE_DIMENSIONS, START_SLOTS, Visibility, cover_height, covered};
+use crate::light::{
+    Direct, Emitters, Receiver, SAMPLE_DIMENSIONS, START_SLOTS, Visibility, cover_above, cover_in_part,
+};
 use crate::photon::StartTable;
 use crate::sampling::{Stream, cosine_hemisphere, hash_mix, hash_seed, sobol, unit_f32};
 use crate::scene::SurfaceFlags;
@@ -69,7 +71,7 @@ impl Gather<'_> {
         let key = hash_mix(hash_mix(self.seed, 0x6761_7468_6572), (texel as u64) << 1 | half as u64);
         let scramble = hash_seed(&[key]);
         let back = self.texels.texels[texel].back;
-        let cover = (self.open[texel] < 1.0).then(|| cover_height(self.texels.texels[texel].area));
+        let cover = cover_in_part(self.open[texel], self.texels.texels[texel].area);
         let lit = self.starts[half].total() > 0.0;
         sampler.load(self.texels, texel);
         let (mut sum, mut rays) = (Vec3::ZERO, 0);
@@ -78,7 +80,7 @@ impl Gather<'_> {
             let mut stream = Stream::new(hash_mix(key, u64::from(k)));
             let (triangle, uv) = sampler.sample(Vec2::new(u(0), u(1)));
             let at = Receiver::new(world, triangle, uv, back, false);
-            if cover.is_some_and(|height| covered(self.visibility, &at, height)) {
+            if cover.is_some_and(|height| cover_above(self.visibility, &at, height).is_some()) {
                 rays += 1;
                 continue;
             }

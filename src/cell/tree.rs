@@ -6,9 +6,8 @@
 
 use crate::accel::{Accel, Ray, offset_origin};
 use crate::atlas::{TexelSampler, Texels};
-use crate::light::cover_height;
+use crate::light::{Visibility, cover_height};
 use crate::sampling::orthonormal_basis;
-use crate::scene::{SurfaceFlags, World};
 use glam::Vec3;
 use rayon::prelude::*;
 use std::ops::Range;
@@ -89,20 +88,20 @@ impl SurfaceTree {
     /// The root's first child has the surface that is open to its surroundings, its second child what is not. A
     /// texel that a wall stands on has light of both sides and belongs to neither. Nor has a sheet that lies just
     /// under another anything to do with that one's light, though it is as near as the next texel.
-    pub fn new(world: &World, texels: &Texels, open: &[f32], accel: &Accel) -> SurfaceTree {
+    pub fn new(texels: &Texels, open: &[f32], visibility: &Visibility) -> SurfaceTree {
         let mut elements: Vec<Element> = (0..texels.mapped)
             .into_par_iter()
             .map_init(TexelSampler::default, |sampler, i| {
                 let t = &texels.texels[i];
                 sampler.load(texels, i);
-                let (position, normal) = sampler.centre(world);
+                let (position, normal) = sampler.centre(visibility.world);
                 let normal = if t.back { -normal } else { normal };
                 let setting = Setting::Free;
                 let mut e = Element { position, normal, area: t.area * open[i], texel: i as u32, setting };
                 // Where a border cuts a texel it is not known how far it reaches.
-                if open[i] == 1.0 && t.coverage > WHOLE && astride(&e, accel) {
+                if open[i] == 1.0 && t.coverage > WHOLE && astride(&e, visibility.accel) {
                     e.setting = Setting::Astride;
-                } else if under(&e, world, accel) {
+                } else if under(&e, visibility) {
                     e.setting = Setting::Under;
                 }
                 e
@@ -177,11 +176,9 @@ impl SurfaceTree {
 
 /// Whether another surface, which light does not pass, lies less than a texel's side above the middle of a texel, and
 /// not upon it: then the middle is buried, and light falls on what is open beside it.
-fn under(e: &Element, world: &World, accel: &Accel) -> bool {
-    let origin = offset_origin(e.position, e.normal, 1.0);
-    let passes = |t: u32| world.flags[t as usize].has(SurfaceFlags::PASSES_LIGHT);
-    let up = Ray { origin, direction: e.normal, t_max: e.area.sqrt() };
-    accel.closest(&up).is_some_and(|hit| !passes(hit.triangle) && hit.t > cover_height(e.area))
+fn under(e: &Element, visibility: &Visibility) -> bool {
+    let above = visibility.opaque_above(offset_origin(e.position, e.normal, 1.0), e.normal, e.area.sqrt());
+    above.is_some_and(|hit| hit.t > cover_height(e.area))
 }
 
 /// Whether something stands on the middle of a texel, which reaches at least [`REACH`] of its side to all sides.

@@ -1,7 +1,7 @@
 //! Direct light of every texel in two halves, and where photons start.
 
 use super::emitters::{Emitters, SAMPLE_DIMENSIONS};
-use super::open::{cover_height, covered};
+use super::open::{cover_above, cover_in_part};
 use super::receiver::Receiver;
 use super::visibility::Visibility;
 use crate::atlas::{TexelSampler, Texels};
@@ -151,8 +151,8 @@ impl Direct {
     }
 
     /// Takes `more(half, texel)` samples in each half of each texel. `open` is the open share of those on the map:
-    /// where it is below 1, points that another surface lies upon receive and send out nothing. Sample k of a texel is point k of a
-    /// scrambled Sobol sequence of the texel's own, so that all samples so far stay evenly spread.
+    /// where it is below 1, points that another surface lies upon receive and send out nothing. Sample k of a texel
+    /// is point k of a scrambled Sobol sequence of the texel's own, so that all samples so far stay evenly spread.
     pub fn extend(
         &mut self,
         more: &(impl Fn(usize, usize) -> u32 + Sync),
@@ -177,7 +177,7 @@ impl Direct {
                     }
                     sampler.load(texels, id);
                     let t = &texels.texels[id];
-                    let cover = (open.get(id).is_some_and(|&o| o < 1.0)).then(|| cover_height(t.area));
+                    let cover = open.get(id).and_then(|&open| cover_in_part(open, t.area));
                     for (h, half) in [halves.0, halves.1].into_iter().enumerate() {
                         let key = hash_mix(seed, (id as u64) << 1 | h as u64);
                         let points = Points { seed: hash_seed(&[key]), key };
@@ -266,7 +266,7 @@ impl HalfTexel {
         let at = Receiver::new(visibility.world, triangle, uv, back, smooth);
         if let Some(height) = cover {
             *rays += 1;
-            if covered(visibility, &at, height) {
+            if cover_above(visibility, &at, height).is_some() {
                 return 0.0;
             }
         }

@@ -19,7 +19,7 @@ mod visibility;
 pub use emitters::{Emitters, LightSettings, PUNCTUAL_LOOP_LIMIT, SAMPLE_DIMENSIONS};
 pub use gather::{Direct, START_SLOTS, StartSlot};
 pub use lighting::Lighting;
-pub use open::{COVER, cover_height, covered, open_shares, shown_texels};
+pub use open::{COVER, cover_above, cover_height, cover_in_part, open_shares, shown_texels};
 pub use receiver::Receiver;
 pub use sky::SkySampler;
 pub use visibility::Visibility;

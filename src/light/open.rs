@@ -3,8 +3,8 @@
 //! A floor under a box is never seen and never lit; as part of a texel's mean it would only darken the visible
 //! rest. Nor is a sheet seen that another lies upon, but light that strays between two white ones is reflected
 //! hundreds of times and would outshine all else. A point is *buried* if another surface lies upon it, much nearer
-//! than a texel is wide, or if every ray from it meets such a one or the back of a one-sided surface first. The share of a texel's area that is
-//! open divides its flux in place of the whole area.
+//! than a texel is wide, or if every ray from it meets such a one or the back of a one-sided surface first. The share
+//! of a texel's area that is open divides its flux in place of the whole area.
 
 use super::receiver::Receiver;
 use super::visibility::Visibility;
@@ -116,7 +116,7 @@ impl<'a> Probe<'a> {
         let (triangle, uv) = self.sampler.sample(Vec2::new(u(0), u(1)));
         let at = Receiver::new(self.visibility.world, triangle, uv, self.back, false);
         self.rays += 1;
-        if covered(self.visibility, &at, self.cover) {
+        if cover_above(self.visibility, &at, self.cover).is_some() {
             return true;
         }
         (0..RAYS).all(|j| {
@@ -141,16 +141,14 @@ pub fn cover_height(area: f32) -> f32 {
     (COVER * area.sqrt()).max(LEAST_COVER)
 }
 
-/// Whether a surface that light does not pass lies upon the point, less than `height` above it.
-pub fn covered(visibility: &Visibility, at: &Receiver, height: f32) -> bool {
-    cover_above(visibility, at, height).is_some()
+/// [`cover_height`] of a texel of which not everything is open, that is, which may be covered in part.
+pub fn cover_in_part(open: f32, area: f32) -> Option<f32> {
+    (open < 1.0).then(|| cover_height(area))
 }
 
-/// The surface that lies upon the point, less than `cover` above it, if light does not pass it.
-fn cover_above(visibility: &Visibility, at: &Receiver, cover: f32) -> Option<Hit> {
-    let ray = Ray { origin: at.origin, direction: at.geometric_normal, t_max: cover };
-    let passes = |t: u32| visibility.world.flags[t as usize].has(SurfaceFlags::PASSES_LIGHT);
-    visibility.accel.closest(&ray).filter(|hit| !passes(hit.triangle))
+/// The surface that lies upon the point, less than `height` above it.
+pub fn cover_above(visibility: &Visibility, at: &Receiver, height: f32) -> Option<Hit> {
+    visibility.opaque_above(at.origin, at.geometric_normal, height)
 }
 
 /// Whether a ray meets a back, or a surface nearer than `cover`.

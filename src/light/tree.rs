@@ -124,7 +124,8 @@ impl LightTree {
         self.weigh(n.left, at, levels - 1) + self.weigh(n.right, at, levels - 1)
     }
 
-    /// Draws in the part [`from`, `from + width`) of a node, `levels` of which are looked at: its probability is `width` over the number of draws.
+    /// Draws in the part [`from`, `from + width`) of a node, `levels` of which are looked at: its probability is
+    /// `width` over the number of draws.
     fn descend(
         &self,
         node: u32,

@@ -1,6 +1,6 @@
 //! How much light passes between two points.
 
-use crate::accel::{Accel, Ray};
+use crate::accel::{Accel, Hit, Ray};
 use crate::scene::{SurfaceFlags, World};
 use glam::{Vec2, Vec3};
 use std::ops::ControlFlow;
@@ -21,6 +21,14 @@ impl<'a> Visibility<'a> {
     pub fn new(world: &'a World<'a>, accel: &'a Accel) -> Visibility<'a> {
         let some_pass = world.flags.iter().any(|f| f.has(SurfaceFlags::PASSES_LIGHT));
         Visibility { world, accel, some_pass }
+    }
+
+    /// The nearest surface less than `reach` straight above a point of another, if light does not pass it. `origin` is
+    /// off that point's own surface already.
+    pub fn opaque_above(&self, origin: Vec3, normal: Vec3, reach: f32) -> Option<Hit> {
+        let passes = |t: u32| self.world.flags[t as usize].has(SurfaceFlags::PASSES_LIGHT);
+        let up = Ray { origin, direction: normal, t_max: reach };
+        self.accel.closest(&up).filter(|hit| !passes(hit.triangle))
     }
 
     /// Share of light per channel that passes along `ray`, in [0, 1]: exact, since every surface crossed

@@ -1,7 +1,7 @@
 //! Deposits into texels: the replaceable last stage of the photon walk.
 
 use crate::atlas::Texels;
-use crate::light::cover_height;
+use crate::light::cover_in_part;
 use crate::scene::World;
 use glam::{Vec2, Vec3};
 use std::sync::atomic::{AtomicI64, Ordering::Relaxed};
@@ -69,7 +69,7 @@ impl<'t> Bins<'t> {
     fn cover_sends(&self, texel: usize, d: &Deposit) -> bool {
         let area = self.texels.texels[texel].area;
         let height = d.distance * self.world.normals[d.triangle as usize].dot(d.direction).abs();
-        self.open[texel] < 1.0 && height < cover_height(area) && d.distance < area.sqrt()
+        cover_in_part(self.open[texel], area).is_some_and(|cover| height < cover) && d.distance < area.sqrt()
     }
 
     /// Flux of a texel, one half.
