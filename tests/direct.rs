@@ -3,10 +3,11 @@
 mod common;
 
 use common::rooms::{Builder, plain};
-use common::statistics::expect_mean;
+use common::statistics::{expect_mean, mean_and_error};
 use evenlight::accel::Accel;
 use evenlight::atlas::{self, Atlas, Texels};
-use evenlight::light::{Direct, Emitters, LightSettings, Lighting, Visibility};
+use evenlight::light::{Direct, Emitters, LightSettings, Lighting, TexelLight, Visibility};
+use evenlight::photon::{Bins, Flux, Shooting, StartTable};
 use evenlight::scene::{Scene, SurfaceFlags, World};
 use glam::{DVec3, Vec3};
 
@@ -51,9 +52,12 @@ impl Stage<'_> {
         Stage { world, texels, accel, emitters }
     }
 
+    fn light<'a>(&'a self, visibility: &'a Visibility) -> TexelLight<'a> {
+        TexelLight { texels: &self.texels, open: &[], emitters: &self.emitters, visibility, smooth: false }
+    }
+
     fn extend(&self, direct: &mut Direct, seed: u64, more: impl Fn(usize, usize) -> u32 + Sync) {
-        let visibility = Visibility::new(&self.world, &self.accel);
-        direct.extend(&more, seed, false, &self.texels, (&self.emitters, &visibility, &[]));
+        direct.extend(&more, seed, &self.light(&Visibility::new(&self.world, &self.accel)));
     }
 
     /// Two samples per texel and half, then as many again as were taken so far, `rounds` times.
@@ -113,10 +117,63 @@ fn adaptive_samples_are_honest_at_shadow_edges() {
         let [error, _, mean] = trials.iter().fold([0.0; 3], |s, t| std::array::from_fn(|k| s[k] + t[k] / n));
         let truth = truth[..24 * 24].iter().map(|e| e.element_sum() / 3.0).sum::<f64>() / (24.0 * 24.0);
         let ratios: Vec<f64> = trials.iter().map(|t| 1.0 + (t[1] - t[0]) / error).collect();
-        let (ratio, off) = common::statistics::mean_and_error(&ratios);
+        let (ratio, off) = mean_and_error(&ratios);
         println!("{what}: error {:.3} %, stated / true variance {ratio:.4} +- {off:.4}", 100.0 * error.sqrt() / mean);
         expect_mean(what, &ratios, 1.0, 0.06, 2);
         let means: Vec<f64> = trials.iter().map(|t| t[2]).collect();
         expect_mean(what, &means, truth, 0.002, 2);
+    }
+}
+
+/// A floor of `texels` squared that is lit in one corner, but for a stripe in the shadow of a board, between two walls.
+fn lit_corner(texels: u32) -> Scene {
+    let mut b = Builder::new(PAGE);
+    let (white, black) = (b.diffuse(0.8, 0.0), b.diffuse(0.0, 0.0));
+    b.quad("floor", Vec3::ZERO, Vec3::Z * 4.0, Vec3::X * 4.0, white, [texels; 2]);
+    b.quad("near", Vec3::ZERO, Vec3::Y * 2.0, Vec3::Z * 4.0, black, [1; 2]);
+    b.quad("far", Vec3::X * 4.0, Vec3::Z * 4.0, Vec3::Y * 2.0, black, [1; 2]);
+    b.quad("board", Vec3::new(1.0, 0.25, 0.0), Vec3::Z * 4.0, Vec3::X * 0.3, black, [1; 2]);
+    b.point_light(Vec3::new(0.5, 0.5, 0.5), 10.0);
+    b.finish()
+}
+
+/// However many photons leave one texel, they leave from where its light is: a floor of one texel sends as much to
+/// either wall as one of 256. Where the start moves to whatever point was drawn last, or to any that is lit, the far
+/// wall gets more; where it stays at the first points, the scatter between seeds does not pass.
+#[test]
+fn photons_leave_a_texel_from_where_its_light_is() {
+    let caught = |texels: u32, samples: u32| -> Vec<[f64; 2]> {
+        let scene = lit_corner(texels);
+        let stage = Stage::new(&scene);
+        let visibility = Visibility::new(&stage.world, &stage.accel);
+        let open = vec![1.0; stage.texels.mapped];
+        let at = |node: u32| {
+            (0..stage.texels.mapped).find(|&i| {
+                let piece = stage.texels.pieces_of(i)[0];
+                stage.world.refs[piece.triangle as usize].instance == node
+            })
+        };
+        let walls = [1, 2].map(|node| at(node).expect("a wall has one texel"));
+        let shoot = |seed: u64| {
+            let mut direct = Direct::new(stage.texels.texels.len());
+            stage.extend(&mut direct, seed, |_, _| samples);
+            let starts = [0, 1].map(|half| StartTable::new(&stage.texels, &direct, half));
+            let flux = Flux::for_total(starts[0].total());
+            let light = stage.light(&visibility);
+            let shooting = Shooting { seed, flux, starts: &starts, direct: &direct, light, crevice: 0.0 };
+            let bins = Bins::new(&stage.world, &stage.texels, &open);
+            shooting.net(0, 0, 15, &bins);
+            walls.map(|wall| bins.flux(0, wall)[0] as f64 * flux.unit / 32768.0)
+        };
+        (0..64).map(shoot).collect()
+    };
+    let (one, many) = (caught(1, 1 << 14), caught(16, 64));
+    for (wall, (name, visible)) in [("near", 0.08), ("far", 0.15)].into_iter().enumerate() {
+        let of = |runs: &[[f64; 2]]| -> Vec<f64> { runs.iter().map(|r| r[wall]).collect() };
+        let ((mean, _), (truth, _)) = (mean_and_error(&of(&one)), mean_and_error(&of(&many)));
+        println!("{name}: {mean} for {truth}");
+        // The truth scatters as well: pairs of independent runs.
+        let pairs: Vec<f64> = of(&one).iter().zip(of(&many)).map(|(a, b)| a - b + truth).collect();
+        expect_mean(name, &pairs, truth, visible, 2);
     }
 }

@@ -8,10 +8,8 @@
 //! Each half looks up its own half alone: the halves of what is gathered stay independent.
 
 use crate::accel::{Ray, offset_origin};
-use crate::atlas::{TexelSampler, Texels};
-use crate::light::{
-    Direct, Emitters, Receiver, SAMPLE_DIMENSIONS, START_SLOTS, Visibility, cover_above, cover_in_part,
-};
+use crate::atlas::TexelSampler;
+use crate::light::{Direct, Receiver, SAMPLE_DIMENSIONS, START_SLOTS, TexelLight};
 use crate::photon::StartTable;
 use crate::sampling::{Stream, cosine_hemisphere, hash_mix, hash_seed, sobol, unit_f32};
 use crate::scene::SurfaceFlags;
@@ -33,16 +31,10 @@ const NEAR: f32 = 4.0;
 pub struct Gather<'a> {
     /// Seed of the bake.
     pub seed: u64,
-    /// All texels.
-    pub texels: &'a Texels,
-    /// Open share of the area of each texel of the map.
-    pub open: &'a [f32],
-    /// What rays meet.
-    pub visibility: &'a Visibility<'a>,
+    /// What direct light is found with, where that of texels is too coarse.
+    pub light: TexelLight<'a>,
     /// Direct light of all texels.
     pub direct: &'a Direct,
-    /// What it comes from, for points nearer than texels can tell.
-    pub emitters: &'a Emitters,
     /// Where direct light leaves from, of each half.
     pub starts: &'a [StartTable; 2],
     /// Indirect irradiance (lux) of the open part of each texel of the map, of each half.
@@ -67,30 +59,22 @@ impl Gather<'_> {
     }
 
     fn texel(&self, half: usize, texel: usize, samples: u32, sampler: &mut TexelSampler) -> (Vec3, u64) {
-        let world = self.visibility.world;
         let key = hash_mix(hash_mix(self.seed, 0x6761_7468_6572), (texel as u64) << 1 | half as u64);
         let scramble = hash_seed(&[key]);
-        let back = self.texels.texels[texel].back;
-        let cover = cover_in_part(self.open[texel], self.texels.texels[texel].area);
         let lit = self.starts[half].total() > 0.0;
-        sampler.load(self.texels, texel);
+        sampler.load(self.light.texels, texel);
         let (mut sum, mut rays) = (Vec3::ZERO, 0);
         for k in 0..samples {
             let u = |d: usize| unit_f32(sobol(k, d, scramble));
             let mut stream = Stream::new(hash_mix(key, u64::from(k)));
-            let (triangle, uv) = sampler.sample(Vec2::new(u(0), u(1)));
-            let at = Receiver::new(world, triangle, uv, back, false);
-            if cover.is_some_and(|height| cover_above(self.visibility, &at, height).is_some()) {
-                rays += 1;
-                continue;
-            }
+            let Some(at) = self.light.point(texel, sampler, Vec2::new(u(0), u(1)), &mut rays) else { continue };
             let direction = cosine_hemisphere(at.geometric_normal, Vec2::new(u(2), u(3)));
             sum += self.along(half, &at, direction, &mut stream, &mut rays);
             if lit {
                 sum += self.towards_light(half, &at, u(4), &mut stream, &mut rays);
             }
         }
-        let open = self.open[texel];
+        let open = self.light.open[texel];
         let value = if open > 0.0 { sum / (samples as f32 * open) } else { Vec3::ZERO };
         (if value.is_finite() { value } else { Vec3::ZERO }, rays)
     }
@@ -98,7 +82,8 @@ impl Gather<'_> {
     /// Radiosity that comes back along a cosine-distributed direction. Direct light reflected at the first
     /// surface counts by its share of the balance heuristic.
     fn along(&self, half: usize, at: &Receiver, direction: Vec3, stream: &mut Stream, rays: &mut u64) -> Vec3 {
-        let world = self.visibility.world;
+        let TexelLight { texels, visibility, .. } = self.light;
+        let world = visibility.world;
         let cosine = at.geometric_normal.dot(direction).max(0.0);
         let (mut sum, mut carried) = (Vec3::ZERO, Vec3::ONE);
         let mut ray = Ray { origin: at.origin, direction, t_max: f32::INFINITY };
@@ -107,7 +92,7 @@ impl Gather<'_> {
         let mut near_steps = 0;
         for _ in 0..MAX_SURFACES {
             *rays += 1;
-            let Some(hit) = self.visibility.accel.closest(&ray) else { return sum };
+            let Some(hit) = visibility.accel.closest(&ray) else { return sum };
             let uv = Vec2::new(hit.u, hit.v);
             let flags = world.flags[hit.triangle as usize];
             let normal = world.normals[hit.triangle as usize];
@@ -125,7 +110,7 @@ impl Gather<'_> {
             } else {
                 Vec3::ZERO
             };
-            let texel = if reflects { self.texels.at(hit.triangle, back, uv) } else { None };
+            let texel = if reflects { texels.at(hit.triangle, back, uv) } else { None };
             let mut reflected = albedo;
             if let Some(texel) = texel {
                 let texel = texel as usize;
@@ -139,17 +124,17 @@ impl Gather<'_> {
                     None => 1.0,
                 };
                 // Half a shadowed texel is not as bright as its mean.
-                let near = hit.t < NEAR * self.texels.texels[texel].area.sqrt();
+                let near = hit.t < NEAR * texels.texels[texel].area.sqrt();
                 let sent = if near {
                     let at = Receiver::new(world, hit.triangle, uv, back, false);
                     let u: [f32; SAMPLE_DIMENSIONS] = std::array::from_fn(|_| stream.unit());
-                    albedo * self.emitters.sample(&at, self.visibility, |d| u[d], stream, rays).transported
+                    self.light.light(at, |d| u[d], stream, rays).sent
                 } else {
                     self.sent_directly(half, texel)
                 };
                 sum += carried * sent * weight;
                 // What is near would be looked up too blurred: a few bounces more, and it no longer matters.
-                let mapped = texel < self.texels.mapped;
+                let mapped = texel < texels.mapped;
                 let far = mapped && hit.t >= self.blur[half][texel];
                 if mapped && (far || near_steps == MOST_NEAR_STEPS) {
                     sum += carried * albedo * self.indirect[half][texel];
@@ -185,8 +170,8 @@ impl Gather<'_> {
         let texel = starts.pick(f64::from(u), None);
         let slot = stream.bits() as usize % START_SLOTS;
         let Some(start) = self.direct.start(half, texel, slot) else { return Vec3::ZERO };
-        let world = self.visibility.world;
-        let from = Receiver::new(world, start.triangle, start.uv, self.texels.texels[texel].back, false);
+        let TexelLight { texels, visibility, .. } = self.light;
+        let from = Receiver::new(visibility.world, start.triangle, start.uv, texels.texels[texel].back, false);
         let to = from.origin - at.origin;
         let d2 = to.length_squared();
         if d2 < 1e-14 {
@@ -198,7 +183,7 @@ impl Gather<'_> {
             return Vec3::ZERO;
         }
         *rays += 1;
-        let passed = self.visibility.transmittance(&Ray { origin: at.origin, direction: to, t_max: 1.0 });
+        let passed = visibility.transmittance(&Ray { origin: at.origin, direction: to, t_max: 1.0 });
         if passed == Vec3::ZERO {
             return Vec3::ZERO;
         }

@@ -26,9 +26,78 @@ pub struct StartSlot {
     pub uv: Vec2,
     /// B over its largest channel, in units of 1 / 65535.
     pub color: [u16; 3],
+    /// Largest channel of B as it was sampled (lux).
+    pub largest: f32,
 }
 
-const NO_SLOT: StartSlot = StartSlot { triangle: u32::MAX, uv: Vec2::ZERO, color: [0; 3] };
+const NO_SLOT: StartSlot = StartSlot { triangle: u32::MAX, uv: Vec2::ZERO, color: [0; 3], largest: 0.0 };
+
+impl StartSlot {
+    /// A point where light is reflected; `None` where none is.
+    pub fn new(point: &LitPoint) -> Option<StartSlot> {
+        let largest = point.sent.max_element();
+        let color = (point.sent / largest * 65535.0).round();
+        let color = [color.x as u16, color.y as u16, color.z as u16];
+        (largest > 0.0).then_some(StartSlot { triangle: point.at.triangle, uv: point.at.uv, color, largest })
+    }
+}
+
+/// What direct samples are taken of, and with.
+#[derive(Debug, Clone, Copy)]
+pub struct TexelLight<'a> {
+    /// All texels.
+    pub texels: &'a Texels,
+    /// Open share of the area of those on the map: where it is below 1, points that another surface lies upon receive
+    /// and send out nothing.
+    pub open: &'a [f32],
+    /// What shines.
+    pub emitters: &'a Emitters,
+    /// What stands in the way.
+    pub visibility: &'a Visibility<'a>,
+    /// Whether normals are smooth.
+    pub smooth: bool,
+}
+
+/// Light at one point of a texel.
+#[derive(Debug, Clone, Copy)]
+pub struct LitPoint {
+    /// Where.
+    pub at: Receiver,
+    /// One unbiased sample of the irradiance that is stored (lux).
+    pub stored: Vec3,
+    /// One of the radiosity rho E that it is reflected with (lux).
+    pub sent: Vec3,
+}
+
+impl TexelLight<'_> {
+    /// Where a point drawn from `texel`, which `sampler` holds, receives light; `None` where it is covered. `u` are
+    /// two random numbers. A look for a cover is added to `rays`.
+    pub fn point(&self, texel: usize, sampler: &TexelSampler, u: Vec2, rays: &mut u64) -> Option<Receiver> {
+        let t = &self.texels.texels[texel];
+        let (triangle, uv) = sampler.sample(u);
+        let at = Receiver::new(self.visibility.world, triangle, uv, t.back, self.smooth);
+        let Some(height) = self.open.get(texel).and_then(|&open| cover_in_part(open, t.area)) else { return Some(at) };
+        *rays += 1;
+        cover_above(self.visibility, &at, height).is_none().then_some(at)
+    }
+
+    /// One sample of the light at `at`, from `SAMPLE_DIMENSIONS` random numbers `u(d)` and what `more` gives.
+    pub fn light(&self, at: Receiver, u: impl Fn(usize) -> f32, more: &mut Stream, rays: &mut u64) -> LitPoint {
+        let world = self.visibility.world;
+        let light = self.emitters.sample(&at, self.visibility, u, more, rays);
+        if !light.stored.is_finite() || !light.transported.is_finite() {
+            return LitPoint { at, stored: Vec3::ZERO, sent: Vec3::ZERO };
+        }
+        let unseen = world.flags[at.triangle as usize].has(SurfaceFlags::UNSEEN);
+        let sent = if light.transported == Vec3::ZERO || unseen {
+            Vec3::ZERO
+        } else {
+            let surface = world.surface(at.triangle, at.uv);
+            surface.albedo * surface.alpha * light.transported
+        };
+        LitPoint { at, stored: light.stored, sent }
+    }
+}
 
 /// One half of one texel: sums over its samples.
 #[derive(Debug, Clone, Copy)]
@@ -138,29 +207,9 @@ impl Direct {
         wanted.iter().map(|v| (v / mean + LEAST_SHARE).sqrt()).collect()
     }
 
-    /// Takes the same number of samples in every texel and half.
-    pub fn extend_all(
-        &mut self,
-        samples: u32,
-        seed: u64,
-        smooth: bool,
-        texels: &Texels,
-        light: (&Emitters, &Visibility, &[f32]),
-    ) {
-        self.extend(&|_, _| samples, seed, smooth, texels, light);
-    }
-
-    /// Takes `more(half, texel)` samples in each half of each texel. `open` is the open share of those on the map:
-    /// where it is below 1, points that another surface lies upon receive and send out nothing. Sample k of a texel
-    /// is point k of a scrambled Sobol sequence of the texel's own, so that all samples so far stay evenly spread.
-    pub fn extend(
-        &mut self,
-        more: &(impl Fn(usize, usize) -> u32 + Sync),
-        seed: u64,
-        smooth: bool,
-        texels: &Texels,
-        (emitters, visibility, open): (&Emitters, &Visibility, &[f32]),
-    ) {
+    /// Takes `more(half, texel)` samples in each half of each texel. Sample k of a texel is point k of a scrambled
+    /// Sobol sequence of the texel's own, so that all samples so far stay evenly spread.
+    pub fn extend(&mut self, more: &(impl Fn(usize, usize) -> u32 + Sync), seed: u64, light: &TexelLight) {
         let [odd, even] = &mut self.halves;
         let (samples, rays) = odd
             .par_chunks_mut(CHUNK)
@@ -175,23 +224,10 @@ impl Direct {
                     if counts == [0, 0] {
                         continue;
                     }
-                    sampler.load(texels, id);
-                    let t = &texels.texels[id];
-                    let cover = open.get(id).and_then(|&open| cover_in_part(open, t.area));
+                    sampler.load(light.texels, id);
                     for (h, half) in [halves.0, halves.1].into_iter().enumerate() {
                         let key = hash_mix(seed, (id as u64) << 1 | h as u64);
-                        let points = Points { seed: hash_seed(&[key]), key };
-                        let mut squares = 0.0;
-                        for k in half.samples..half.samples + counts[h] {
-                            squares +=
-                                half.add(points, k, &sampler, (t.back, cover), smooth, emitters, visibility, &mut rays);
-                        }
-                        if half.samples == 0 && counts[h] > 1 {
-                            let mean2 = half.stored.length_squared() / 3.0 + half.exitance * half.exitance;
-                            let n = counts[h] as f32;
-                            half.pilot_variance = ((squares - mean2 / n) / (n - 1.0)).max(0.0);
-                        }
-                        half.samples += counts[h];
+                        half.add(counts[h], (id, &sampler), key, light, &mut rays);
                         samples += u64::from(counts[h]);
                     }
                 }
@@ -240,60 +276,40 @@ fn more_samples(wish: f64, scale: f64, have: u32) -> u64 {
     if more < 2 { 0 } else { more }
 }
 
-/// The sequence of one half of one texel.
-#[derive(Clone, Copy)]
-struct Points {
-    seed: u32,
-    key: u64,
-}
-
 impl HalfTexel {
-    /// Adds one sample and returns its square: of what is stored, mean of the channels, and of what is sent out.
+    /// Adds the next `count` samples of the sequence that belongs to `key`.
     fn add(
         &mut self,
-        points: Points,
-        k: u32,
-        sampler: &TexelSampler,
-        (back, cover): (bool, Option<f32>),
-        smooth: bool,
-        emitters: &Emitters,
-        visibility: &Visibility,
+        count: u32,
+        (texel, sampler): (usize, &TexelSampler),
+        key: u64,
+        light: &TexelLight,
         rays: &mut u64,
-    ) -> f32 {
+    ) {
         const { assert!(SAMPLE_DIMENSIONS + 2 <= DIMENSIONS) };
-        let u = |d: usize| unit_f32(sobol(k, d, points.seed));
-        let (triangle, uv) = sampler.sample(Vec2::new(u(0), u(1)));
-        let at = Receiver::new(visibility.world, triangle, uv, back, smooth);
-        if let Some(height) = cover {
-            *rays += 1;
-            if cover_above(visibility, &at, height).is_some() {
-                return 0.0;
+        let scramble = hash_seed(&[key]);
+        let mut squares = 0.0;
+        for k in self.samples..self.samples + count {
+            let u = |d: usize| unit_f32(sobol(k, d, scramble));
+            let Some(at) = light.point(texel, sampler, Vec2::new(u(0), u(1)), rays) else { continue };
+            let mut more = Stream::new(hash_mix(key, u64::from(k)));
+            let found = light.light(at, |d| u(d + 2), &mut more, rays);
+            self.stored += found.stored;
+            squares += found.stored.length_squared() / 3.0;
+            let Some(start) = StartSlot::new(&found) else { continue };
+            self.exitance += start.largest;
+            squares += start.largest * start.largest;
+            for slot in &mut self.slots {
+                if more.unit() * self.exitance < start.largest {
+                    *slot = start;
+                }
             }
         }
-        let mut stream = Stream::new(hash_mix(points.key, u64::from(k)));
-        let light = emitters.sample(&at, visibility, |d| u(d + 2), &mut stream, rays);
-        if !light.stored.is_finite() || !light.transported.is_finite() {
-            return 0.0;
+        if self.samples == 0 && count > 1 {
+            let mean2 = self.stored.length_squared() / 3.0 + self.exitance * self.exitance;
+            let n = count as f32;
+            self.pilot_variance = ((squares - mean2 / n) / (n - 1.0)).max(0.0);
         }
-        self.stored += light.stored;
-        let stored_square = light.stored.length_squared() / 3.0;
-        let unseen = visibility.world.flags[triangle as usize].has(SurfaceFlags::UNSEEN);
-        if light.transported == Vec3::ZERO || unseen {
-            return stored_square;
-        }
-        let surface = visibility.world.surface(triangle, uv);
-        let b = surface.albedo * surface.alpha * light.transported;
-        let largest = b.max_element();
-        if largest <= 0.0 {
-            return stored_square;
-        }
-        self.exitance += largest;
-        for slot in &mut self.slots {
-            if stream.unit() * self.exitance < largest {
-                let color = (b / largest * 65535.0).round();
-                *slot = StartSlot { triangle, uv, color: [color.x as u16, color.y as u16, color.z as u16] };
-            }
-        }
-        stored_square + largest * largest
+        self.samples += count;
     }
 }

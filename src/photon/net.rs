@@ -5,14 +5,17 @@ use super::ledger::EnergyLedger;
 use super::start::StartTable;
 use super::walk::{Photon, walk};
 use crate::accel::Ray;
-use crate::atlas::Texels;
-use crate::light::{Direct, Receiver, START_SLOTS, Visibility};
+use crate::atlas::TexelSampler;
+use crate::light::{Direct, Receiver, SAMPLE_DIMENSIONS, START_SLOTS, StartSlot, TexelLight};
 use crate::sampling::{DIMENSIONS, Stream, cosine_hemisphere, hash_mix, sobol, sobol_index_of_stratum, unit_f32};
 use glam::Vec2;
 use rayon::prelude::*;
 
 /// Largest flux of a photon, in integer steps: reflectances multiply it without overflow.
 const LARGEST_WEIGHT: u32 = 1 << 30;
+
+/// Photons of one texel between two moves of their start: a move costs about as much as a photon.
+const MOVE_EVERY: u32 = 16;
 
 /// Photons per task.
 const CHUNK: u32 = 2048;
@@ -55,10 +58,8 @@ pub struct Shooting<'a> {
     pub starts: &'a [StartTable; 2],
     /// Direct light with its start points.
     pub direct: &'a Direct,
-    /// All texels.
-    pub texels: &'a Texels,
-    /// What photons meet.
-    pub visibility: &'a Visibility<'a>,
+    /// What they are found with.
+    pub light: TexelLight<'a>,
     /// Width below which a gap between surfaces is none [frame units].
     pub crevice: f32,
 }
@@ -79,14 +80,12 @@ impl Shooting<'_> {
         (0..count.div_ceil(CHUNK))
             .into_par_iter()
             .map(|chunk| {
-                let mut ledger = EnergyLedger::default();
-                let mut trail = Trail::default();
-                let mut texel = None;
+                let mut task = Task::default();
                 for stratum in chunk * CHUNK..((chunk + 1) * CHUNK).min(count) {
-                    texel = Some(self.photon(&net, stratum, texel, &mut trail, &mut ledger));
+                    self.photon(&net, stratum, &mut task);
                 }
-                sink.take(half, &trail);
-                ledger
+                sink.take(half, &task.trail);
+                task.ledger
             })
             .reduce(EnergyLedger::default, |mut a, b| {
                 a += &b;
@@ -94,20 +93,22 @@ impl Shooting<'_> {
             })
     }
 
-    /// One photon from its start to its end; returns the texel it started from, to search on from there.
-    fn photon(
-        &self,
-        net: &Net,
-        stratum: u32,
-        from: Option<usize>,
-        trail: &mut Trail,
-        ledger: &mut EnergyLedger,
-    ) -> usize {
+    /// One photon from its start to its end.
+    fn photon(&self, net: &Net, stratum: u32, task: &mut Task) {
         let mut stream = Stream::new(hash_mix(net.key, u64::from(stratum)));
         let jitter = f64::from(stream.bits()) / 4_294_967_296.0;
-        let texel = self.starts[net.half].pick((f64::from(stratum) + jitter) / f64::from(1u32 << net.bits), from);
+        let coordinate = (f64::from(stratum) + jitter) / f64::from(1u32 << net.bits);
+        let texel = self.starts[net.half].pick(coordinate, task.texel);
+        if task.texel.replace(texel) != Some(texel) {
+            task.slots = std::array::from_fn(|slot| self.direct.start(net.half, texel, slot).copied());
+            task.photons = 0;
+        }
         let slot = stream.bits() as usize % START_SLOTS;
-        let Some(start) = self.direct.start(net.half, texel, slot) else { return texel };
+        task.photons += 1;
+        if task.photons % MOVE_EVERY == 0 {
+            self.move_start(texel, slot, &mut stream, task);
+        }
+        let Some(start) = task.slots[slot] else { return };
 
         let (index, scramble) = (sobol_index_of_stratum(stratum, net.bits), net.key as u32);
         let mut dimension = 0;
@@ -115,15 +116,48 @@ impl Shooting<'_> {
             dimension += 1;
             if dimension < DIMENSIONS { sobol(index, dimension, scramble) } else { stream.bits() }
         };
-        let world = self.visibility.world;
+        let visibility = self.light.visibility;
         // The very point that the direct light was found at.
-        let at = Receiver::new(world, start.triangle, start.uv, self.texels.texels[texel].back, false);
+        let back = self.light.texels.texels[texel].back;
+        let at = Receiver::new(visibility.world, start.triangle, start.uv, back, false);
         let direction = cosine_hemisphere(at.geometric_normal, Vec2::new(unit_f32(random()), unit_f32(random())));
         let flux = start.color.map(|c| ((u64::from(c) * u64::from(net.weight) + 32767) / 65535) as u32);
         let photon = Photon { ray: Ray { origin: at.origin, direction, t_max: f32::INFINITY }, flux };
-        walk(photon, self.visibility, self.crevice, random, trail, ledger);
-        texel
+        walk(photon, visibility, self.crevice, random, &mut task.trail, &mut task.ledger);
     }
+
+    /// Many photons from one point crowd around it: the start moves over its texel, to a point drawn anew with the
+    /// probability by which more or less light is reflected there. Starts so remain distributed as what the texel
+    /// reflects, whatever their number (Metropolis et al. 1953; Hastings 1970; Veach and Guibas 1997).
+    fn move_start(&self, texel: usize, slot: usize, stream: &mut Stream, task: &mut Task) {
+        let Some(start) = &mut task.slots[slot] else { return };
+        if task.loaded.replace(texel) != Some(texel) {
+            task.sampler.load(self.light.texels, texel);
+        }
+        let rays = &mut task.ledger.rays;
+        let place = Vec2::new(stream.unit(), stream.unit());
+        let Some(at) = self.light.point(texel, &task.sampler, place, rays) else { return };
+        let u: [f32; SAMPLE_DIMENSIONS] = std::array::from_fn(|_| stream.unit());
+        let found = self.light.light(at, |d| u[d], stream, rays);
+        if let Some(other) = StartSlot::new(&found).filter(|other| other.largest > stream.unit() * start.largest) {
+            *start = other;
+        }
+    }
+}
+
+/// What a task works with.
+#[derive(Default)]
+struct Task {
+    /// The texel that the last photon started from, to search on from there.
+    texel: Option<usize>,
+    /// Where its photons start, and how many did.
+    slots: [Option<StartSlot>; START_SLOTS],
+    photons: u32,
+    /// The texel that the sampler holds.
+    loaded: Option<usize>,
+    sampler: TexelSampler,
+    trail: Trail,
+    ledger: EnergyLedger,
 }
 
 /// One net of one half.

@@ -161,7 +161,7 @@ impl Solver<'_, '_> {
     /// Replaces the indirect light of the meshes that gather it: of those that were to begin when time ran out,
     /// none that is not done.
     fn gather(&mut self, found: &mut Reconstruction) -> Result<(), BakeError> {
-        let LightPath { texels, tree, open, visibility, .. } = self.path;
+        let LightPath { tree, open, .. } = self.path;
         let Some(starts) = self.starts.as_ref().filter(|_| self.gathered.iter().any(|&n| n > 0)) else { return Ok(()) };
         // Gathered once, light stays as it is until more rays are asked for or the map it came from is much better.
         let fresh: Vec<(usize, (u32, u64))> = (0..self.gathered.len())
@@ -185,11 +185,8 @@ impl Solver<'_, '_> {
         let blur = [0, 1].map(|h| scattered(&tree.elements, &found.sides[h], open.len()));
         let gather = Gather {
             seed: self.options.seed,
-            texels,
-            open,
-            visibility,
+            light: self.path.light(false),
             direct: &self.direct,
-            emitters: self.path.emitters,
             starts,
             indirect: [&indirect[0], &indirect[1]],
             blur: [&blur[0], &blur[1]],

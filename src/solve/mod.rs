@@ -14,7 +14,7 @@ use crate::accuracy::{
 use crate::atlas::Texels;
 use crate::cell::SurfaceTree;
 use crate::error::BakeError;
-use crate::light::{Direct, Emitters, Visibility};
+use crate::light::{Direct, Emitters, TexelLight, Visibility};
 use crate::observer::{Observer, Progress};
 use crate::options::{BakeOptions, Normals};
 use crate::photon::{Bins, EnergyLedger, Flux, Shooting, StartTable};
@@ -73,6 +73,14 @@ pub struct LightPath<'a> {
     pub emitters: &'a Emitters,
     /// What rays meet.
     pub visibility: &'a Visibility<'a>,
+}
+
+impl<'a> LightPath<'a> {
+    /// What direct light is sampled with.
+    fn light(&self, smooth: bool) -> TexelLight<'a> {
+        let LightPath { texels, open, emitters, visibility, .. } = *self;
+        TexelLight { texels, open, emitters, visibility, smooth }
+    }
 }
 
 /// Irradiance of all texels with its error.
@@ -243,57 +251,56 @@ impl Solver<'_, '_> {
 
     /// Traces one round; the name of the limit that ended it early.
     fn trace(&mut self, round: &Round) -> Result<Option<&'static str>, BakeError> {
-        let smooth = self.options.normals == Normals::Smooth;
-        let LightPath { texels, open, emitters, visibility, .. } = self.path;
-        let light = (emitters, visibility, open);
-        let mut left = round.samples;
+        let began = self.sample(round.samples)?;
+        if began.is_some() {
+            return Ok(began);
+        }
+        let limit = self.shoot(round.photons)?;
+        Ok(limit.or_else(|| self.out_of_time().then_some("time-limit")))
+    }
+
+    /// Takes direct samples; the limit that ended them early.
+    fn sample(&mut self, samples: u64) -> Result<Option<&'static str>, BakeError> {
+        let texels = self.path.texels;
+        let mut left = samples;
         while left > 0 {
-            let started = Instant::now();
             let most = MOST_SAMPLES_AT_ONCE.max(MOST_PER_TEXEL_AT_ONCE * texels.texels.len() as u64);
             let budget = left.min(most);
+            left -= budget;
             if self.direct.samples() == 0 {
-                self.direct.extend_all(FIRST_SAMPLES, self.options.seed, smooth, texels, light);
+                let first = vec![FIRST_SAMPLES; texels.texels.len()];
+                self.extend(|_| [first.clone(), first]);
                 left = 0;
             } else {
-                let counts =
-                    |texel: usize| self.weights.instance.get(texel).map_or(1.0, |&i| self.importance[i as usize]);
-                let more = self.direct.allocate(budget, texels, counts);
-                let counts = |half: usize, texel: usize| more[half][texel];
-                self.direct.extend(&counts, self.options.seed, smooth, texels, light);
-                left -= budget;
+                self.extend(|s| {
+                    let counts =
+                        |texel: usize| s.weights.instance.get(texel).map_or(1.0, |&i| s.importance[i as usize]);
+                    s.direct.allocate(budget, texels, counts)
+                });
             }
-            self.seconds[0] += started.elapsed().as_secs_f64();
             self.report_progress()?;
             if left > 0 && self.out_of_time() {
                 return Ok(Some("time-limit"));
             }
         }
+        Ok(None)
+    }
+
+    /// Takes the direct samples that `more` says for each half and texel.
+    fn extend(&mut self, more: impl FnOnce(&Self) -> [Vec<u32>; 2]) {
         let started = Instant::now();
-        let starts = [0, 1].map(|h| StartTable::new(self.path.texels, &self.direct, h));
+        let more = more(self);
+        let light = self.path.light(self.options.normals == Normals::Smooth);
+        self.direct.extend(&|half, texel| more[half][texel], self.options.seed, &light);
+        self.seconds[0] += started.elapsed().as_secs_f64();
+    }
+
+    /// Shoots `photons` per half in nets; the limit that ended them early.
+    fn shoot(&mut self, photons: u64) -> Result<Option<&'static str>, BakeError> {
+        let LightPath { texels, open, visibility, crevice, .. } = self.path;
+        let starts = [0, 1].map(|h| StartTable::new(texels, &self.direct, h));
         let total = starts[0].total().max(starts[1].total());
-        if total <= 0.0 {
-            return Ok(None);
-        }
-        if self.flux.is_some_and(|f| !f.holds(total)) {
-            // The first direct samples missed nearly all of the light: so did the photons they started.
-            self.flux = None;
-            self.bins = Bins::new(visibility.world, texels, open);
-            self.ledger = EnergyLedger::default();
-            self.photons = 0;
-            self.gathered_at.fill((0, 0));
-        }
-        let flux = *self.flux.get_or_insert_with(|| Flux::for_total(total));
-        let shooting = Shooting {
-            seed: self.options.seed,
-            flux,
-            starts: &starts,
-            direct: &self.direct,
-            texels: self.path.texels,
-            visibility: self.path.visibility,
-            crevice: self.path.crevice,
-        };
-        let mut left = round.photons;
-        let mut limit = None;
+        let (mut left, mut limit) = (if total > 0.0 { photons } else { 0 }, None);
         while left > 0 {
             // The smallest net is shot whatever the limit: without any, indirect light would be black.
             let most = self.options.max_photons.map_or(u64::MAX, |m| (m / 2).max(1 << LEAST_NET_BITS));
@@ -303,37 +310,35 @@ impl Solver<'_, '_> {
                 break;
             }
             let bits = left.min(allowed).ilog2().clamp(LEAST_NET_BITS, LARGEST_NET_BITS);
+            let started = Instant::now();
+            if self.flux.is_some_and(|f| !f.holds(total)) {
+                // The first direct samples missed nearly all of the light: so did the photons they started.
+                self.flux = None;
+                self.bins = Bins::new(visibility.world, texels, open);
+                self.ledger = EnergyLedger::default();
+                self.photons = 0;
+                self.gathered_at.fill((0, 0));
+            }
+            let flux = *self.flux.get_or_insert_with(|| Flux::for_total(total));
+            let (seed, direct, light) = (self.options.seed, &self.direct, self.path.light(false));
+            let shooting = Shooting { seed, flux, starts: &starts, direct, light, crevice };
             for half in 0..2 {
                 // A half whose direct samples found no light sends out nothing, but its photons count.
-                if shooting.starts[half].total() > 0.0 {
+                if starts[half].total() > 0.0 {
                     self.ledger += &shooting.net(half, self.nets, bits, &self.bins);
                 }
             }
             self.nets += 1;
             self.photons += 1 << bits;
             left = left.saturating_sub(1 << bits);
-            let elapsed = self.began.elapsed().as_secs_f64();
-            if left > 0 && self.options.time_limit.is_some_and(|t| elapsed > t) {
+            self.seconds[1] += started.elapsed().as_secs_f64();
+            self.report_progress()?;
+            if left > 0 && self.out_of_time() {
                 limit = Some("time-limit");
                 break;
             }
-            let progress = progress(
-                self.began,
-                self.options,
-                self.direct.rays() + self.ledger.rays,
-                self.last,
-                self.seconds[0] + self.seconds[1] + started.elapsed().as_secs_f64(),
-            );
-            self.observer.progress(&progress);
-            if self.observer.cancelled() {
-                return Err(BakeError::Cancelled);
-            }
         }
         self.starts = Some(starts);
-        self.seconds[1] += started.elapsed().as_secs_f64();
-        if limit.is_none() && self.out_of_time() {
-            limit = Some("time-limit");
-        }
         Ok(limit)
     }
 
