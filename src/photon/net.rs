@@ -105,7 +105,7 @@ impl Shooting<'_> {
         }
         let slot = stream.bits() as usize % START_SLOTS;
         task.photons += 1;
-        if task.photons % MOVE_EVERY == 0 {
+        if task.photons.is_multiple_of(MOVE_EVERY) {
             self.move_start(texel, slot, &mut stream, task);
         }
         let Some(start) = task.slots[slot] else { return };

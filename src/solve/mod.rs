@@ -322,9 +322,9 @@ impl Solver<'_, '_> {
             let flux = *self.flux.get_or_insert_with(|| Flux::for_total(total));
             let (seed, direct, light) = (self.options.seed, &self.direct, self.path.light(false));
             let shooting = Shooting { seed, flux, starts: &starts, direct, light, crevice };
-            for half in 0..2 {
+            for (half, start) in starts.iter().enumerate() {
                 // A half whose direct samples found no light sends out nothing, but its photons count.
-                if starts[half].total() > 0.0 {
+                if start.total() > 0.0 {
                     self.ledger += &shooting.net(half, self.nets, bits, &self.bins);
                 }
             }
