@@ -1,6 +1,6 @@
 //! The pipeline on one page.
 
-use crate::accel::{Accel, part_coincident};
+use crate::accel::{Accel, coincident_warning, part_coincident};
 use crate::accuracy::TexelWeights;
 use crate::atlas::{self, Atlas, Texels};
 use crate::cell::SurfaceTree;
@@ -212,27 +212,6 @@ fn back_warnings<'a>(scene: &'a Scene, solution: &'a Solution) -> impl Iterator<
             );
             Warning::new("lit-from-behind", what)
         })
-    })
-}
-
-/// Says which nodes have triangles that lie in the plane of others.
-fn coincident_warning(world: &World, parted: &[u32]) -> Option<Warning> {
-    const NAMED: usize = 4;
-    let mut counts = std::collections::BTreeMap::<u32, usize>::new();
-    parted.iter().for_each(|&t| *counts.entry(world.refs[t as usize].instance).or_default() += 1);
-    let mut nodes: Vec<(u32, usize)> = counts.into_iter().collect();
-    nodes.sort_by_key(|n| (std::cmp::Reverse(n.1), n.0));
-    let name = |n: &(u32, usize)| format!("{} ({})", world.scene.instances[n.0 as usize].name, n.1);
-    let named: Vec<String> = nodes.iter().take(NAMED).map(name).collect();
-    let more = if nodes.len() > NAMED { ", ..." } else { "" };
-    (!parted.is_empty()).then(|| {
-        let what = format!(
-            "{} triangles lie in the plane of others and were moved in front of them by a hair: of node {}{more}; move \
-             such surfaces apart, or delete what is hidden",
-            parted.len(),
-            named.join(", ")
-        );
-        Warning::new("coincident-surfaces", what)
     })
 }
 

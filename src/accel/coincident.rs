@@ -7,6 +7,7 @@
 //! moves is the smaller of the two as a rule, so that nothing comes apart that stood together.
 
 use super::wide::Bounds;
+use crate::error::Warning;
 use crate::scene::{SurfaceFlags, World};
 use glam::{DVec2, DVec3, Vec3};
 use obvhs::BvhBuildParams;
@@ -14,6 +15,7 @@ use obvhs::aabb::Aabb;
 use obvhs::bvh2::{Bvh2, builder::build_bvh2};
 use rayon::prelude::*;
 use std::cmp::Reverse;
+use std::collections::BTreeMap;
 use std::time::Duration;
 
 /// Surfaces nearer than this are at the same place [frame units]: 16 times what f32 coordinates of files near the
@@ -105,6 +107,27 @@ pub fn part_coincident(world: &mut World) -> Vec<u32> {
         world.positions[t as usize].iter_mut().for_each(|p| *p += by);
     }
     moves.into_iter().map(|m| m.0).collect()
+}
+
+/// Says of which nodes [`part_coincident`] moved triangles.
+pub fn coincident_warning(world: &World, parted: &[u32]) -> Option<Warning> {
+    const NAMED: usize = 4;
+    let mut counts = BTreeMap::<u32, usize>::new();
+    parted.iter().for_each(|&t| *counts.entry(world.refs[t as usize].instance).or_default() += 1);
+    let mut nodes: Vec<(u32, usize)> = counts.into_iter().collect();
+    nodes.sort_by_key(|n| (Reverse(n.1), n.0));
+    let name = |n: &(u32, usize)| format!("{} ({})", world.scene.instances[n.0 as usize].name, n.1);
+    let named: Vec<String> = nodes.iter().take(NAMED).map(name).collect();
+    let more = if nodes.len() > NAMED { ", ..." } else { "" };
+    (!parted.is_empty()).then(|| {
+        let what = format!(
+            "{} triangles lie in the plane of others and were moved in front of them by a hair: of node {}{more}; move \
+             such surfaces apart, or delete what is hidden",
+            parted.len(),
+            named.join(", ")
+        );
+        Warning::new("coincident-surfaces", what)
+    })
 }
 
 /// Whether two triangles lie in one plane, overlap there, and are both seen from one of its sides.

@@ -13,7 +13,7 @@ mod traverse;
 mod triangle;
 mod wide;
 
-pub use coincident::{LAYERS, PARTING, part_coincident};
+pub use coincident::{LAYERS, PARTING, coincident_warning, part_coincident};
 pub use kernel::Kernel;
 pub use offset::offset_origin;
 

@@ -1,6 +1,7 @@
 //! `evenlight inspect`: what is in a scene, what will be baked, what is wrong with it.
 
 use evenlight::Warning;
+use evenlight::accel::{coincident_warning, part_coincident};
 use evenlight::scene::{BakeMode, LightKind, Scene, Sky, SurfaceFlags, World};
 use serde::Serialize;
 use std::fmt::{self, Write};
@@ -100,7 +101,8 @@ pub struct TextureEntry {
 
 /// Looks at everything in a scene; decodes its images.
 pub fn inspect(scene: &Scene) -> Inspection {
-    let world = World::new(scene);
+    let mut world = World::new(scene);
+    let parted = part_coincident(&mut world);
     let square_metres = world.frame.metres * world.frame.metres;
     let mut instances = Vec::with_capacity(scene.instances.len());
     let mut material_areas = vec![0.0; scene.materials.len()];
@@ -153,6 +155,7 @@ pub fn inspect(scene: &Scene) -> Inspection {
     };
     let found = judge(&inspection, scene, &material_areas);
     inspection.warnings.extend(found);
+    inspection.warnings.extend(coincident_warning(&world, &parted));
     inspection
 }
 
@@ -348,5 +351,19 @@ mod tests {
         assert!(i.instances[0].mirrored);
         assert!(i.warnings.iter().any(|w| w.code == "no-light"));
         assert!(i.text().contains("leaf"));
+    }
+
+    #[test]
+    fn a_face_that_is_there_twice_is_named() {
+        let i = inspect(&scene(
+            r#"{"asset": {"version": "2.0"}, "scenes": [{"nodes": [0, 1]}],
+                "nodes": [{"name": "leaf", "mesh": 0}, {"name": "copy", "mesh": 0}],
+                "meshes": [{"primitives": [{"attributes": {"POSITION": 0}}]}],
+                "accessors": [{"bufferView": 0, "componentType": 5121, "type": "VEC3", "count": 3}],
+                "bufferViews": [{"buffer": 0, "byteLength": 9}],
+                "buffers": [{"byteLength": 9, "uri": "data:;base64,AAAAAgAAAAMA"}]}"#,
+        ));
+        let said = i.warnings.iter().find(|w| w.code == "coincident-surfaces").expect("a warning");
+        assert!(said.message.contains("leaf (1)"), "{}", said.message);
     }
 }
