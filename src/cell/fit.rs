@@ -18,6 +18,9 @@ const BLEND_REACH: f32 = 1.2;
 /// finer than the light would otherwise stay smoothed however many photons there are.
 const SURE: f64 = 4.0;
 
+/// Regions of so many cells are put right first, as a whole.
+const REGIONS: [usize; 4] = [usize::MAX / 2, 1024, 128, 16];
+
 /// ... in so many steps, each of which finds most of what is left.
 const CORRECTIONS: usize = 2;
 
@@ -75,6 +78,24 @@ pub fn reconstruct(
         .into_par_iter()
         .map(|i| elements(i).map(|e| blend(&moments, &planes, i, &around[i], e.position).max(Vec3::ZERO)).collect())
         .collect();
+    // Planes that are cut off at 0 or reach into darker cells add light: regions give back what they never caught.
+    for size in REGIONS {
+        parts.par_chunks_mut(size).enumerate().for_each(|(region, parts)| {
+            let (mut caught, mut found, mut variance) = (DVec3::ZERO, DVec3::ZERO, 0.0);
+            for (i, values) in (region * size..).zip(parts.iter()) {
+                caught += moments[i].flux;
+                found += elements(i).zip(values).map(|(e, v)| f64::from(e.area) * v.as_dvec3()).sum::<DVec3>();
+                variance += noise(i) * moments[i].flux.element_sum() / 3.0;
+            }
+            let missing = caught - found;
+            let keep = (1.0 - SURE * variance / missing.length_squared().max(1e-300)).max(0.0);
+            let factor = DVec3::ONE + keep * missing / found.max(DVec3::splat(1e-300));
+            let factor = factor.clamp(DVec3::splat(0.5), DVec3::splat(2.0)).as_vec3();
+            if factor != Vec3::ONE {
+                parts.iter_mut().flatten().for_each(|v| *v *= factor);
+            }
+        });
+    }
     for _ in 0..CORRECTIONS {
         let missing: Vec<Vec3> = (0..moments.len())
             .into_par_iter()
