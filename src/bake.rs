@@ -96,6 +96,7 @@ fn bake_here<'s>(scene: &'s Scene, options: &BakeOptions, observer: &mut dyn Obs
     };
     let solution = solve(path, weights, options, clock.began, observer)?;
     [seconds.direct, seconds.photons, seconds.estimate] = solution.seconds;
+    seconds.rounds = solution.rounds.clone();
     clock.lap();
 
     observer.stage(Stage::Finish);

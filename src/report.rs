@@ -95,7 +95,9 @@ pub struct HistoryEntry {
     pub rays: u64,
     /// Texel error.
     pub percent: f64,
-    /// Upper end of its interval.
+    /// Lower end of its 95 % interval.
+    pub low: f64,
+    /// Upper end of its 95 % interval.
     pub high: f64,
     /// Rays that the fall of sigma predicts to the targets, from the start.
     pub forecast_rays: f64,
@@ -194,7 +196,7 @@ pub struct AtlasSummary {
 }
 
 /// Seconds per stage.
-#[derive(Debug, Clone, Copy, Default, Serialize)]
+#[derive(Debug, Clone, Default, Serialize)]
 pub struct Seconds {
     /// Cutting, flattening, packing.
     pub atlas: f64,
@@ -214,6 +216,17 @@ pub struct Seconds {
     pub finish: f64,
     /// From the call to the result.
     pub total: f64,
+    /// One entry per entry of the history.
+    pub rounds: Vec<RoundSeconds>,
+}
+
+/// When a round ended, and when it foretold the end. Apart from the history, which is the same for every run.
+#[derive(Debug, Clone, Copy, Serialize)]
+pub struct RoundSeconds {
+    /// Seconds from the call to the end of the round.
+    pub at: f64,
+    /// Seconds from the call until the targets would be met, by the rays foretold and the rays per second so far.
+    pub forecast: f64,
 }
 
 /// The error that 95 % of the meshes are under (0 without meshes).

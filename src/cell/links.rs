@@ -85,6 +85,15 @@ impl Cells {
     pub fn len(&self) -> usize {
         self.ranges.len()
     }
+
+    /// The cell that each element is in.
+    pub fn by_element(&self) -> Vec<u32> {
+        let mut out = vec![0; self.order.len()];
+        for (cell, range) in self.ranges.iter().enumerate() {
+            self.order[range.clone()].iter().for_each(|&k| out[k as usize] = cell as u32);
+        }
+        out
+    }
 }
 
 /// True if two texels are surrounded alike and nothing stands between them.

@@ -35,7 +35,12 @@ pub struct Reconstruction {
     pub blocks: Vec<Node>,
     /// Number of cells.
     pub cells: [usize; 2],
+    /// Cell of the odd half that each element is in, in the order of the tree; empty where none are made.
+    pub cell_of: Vec<u32>,
 }
+
+/// Marks a texel that no cell holds.
+pub const NO_CELL: u32 = u32::MAX;
 
 /// Elements in a block where every element is on its own.
 const RAW_BLOCK: usize = 64;
@@ -54,7 +59,13 @@ impl Reconstruction {
             starts.get(after).is_some_and(|&s| s < n.elements.end)
         };
         let blocks = tree.cut(|n| !border_inside(n));
-        Reconstruction { values: [odd.0, even.0], sides: [odd.1, even.1], blocks, cells: cells.map(|c| c.len()) }
+        Reconstruction {
+            values: [odd.0, even.0],
+            sides: [odd.1, even.1],
+            blocks,
+            cells: [0, 1].map(|h| cells[h].len()),
+            cell_of: cells[0].by_element(),
+        }
     }
 
     /// Every element by its own photons alone: unbiased, and as noisy as that.
@@ -67,6 +78,7 @@ impl Reconstruction {
             sides: [0, 1].map(|_| vec![0.0; tree.elements.len()]),
             blocks,
             cells: [tree.elements.len(); 2],
+            cell_of: Vec::new(),
         }
     }
 }

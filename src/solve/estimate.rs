@@ -3,7 +3,7 @@
 use super::{LightPath, Solution, Solver};
 use crate::accuracy::{GATHER_AGAIN, Halves, Known, Missed, TexelWeights, mesh_errors, texel_error};
 use crate::atlas::NO_CHART;
-use crate::cell::{Bias, Element, ElementFlux, Gather, Reconstruction, bias};
+use crate::cell::{Bias, Element, ElementFlux, Gather, NO_CELL, Reconstruction, bias};
 use crate::error::BakeError;
 use crate::options::{DoubleSided, Smoothing, TexelValue};
 use crate::report::percentile_95;
@@ -87,11 +87,13 @@ impl Solver<'_, '_> {
             mesh_percent,
             area_within_target,
             cells: found.cells,
+            cell_of: self.cell_of(&found),
             energy_change: if all > 0.0 { kept / all - 1.0 } else { 0.0 },
             squares,
             missed,
             limit: None,
             history: Vec::new(),
+            rounds: Vec::new(),
             direct_samples: self.direct.samples(),
             direct_rays: self.direct.rays(),
             gather_rays: self.gather_rays,
@@ -215,6 +217,20 @@ impl Solver<'_, '_> {
             (0..2).for_each(|h| found.values[h][k] = light[h]);
         }
         Ok(())
+    }
+
+    /// Cells of the odd half by texel.
+    fn cell_of(&self, found: &Reconstruction) -> Vec<u32> {
+        if found.cell_of.is_empty() {
+            return Vec::new();
+        }
+        let mut out = vec![NO_CELL; self.path.open.len()];
+        for (e, &cell) in self.path.tree.elements.iter().zip(&found.cell_of) {
+            if self.gathered_at[self.weights.instance[e.texel as usize] as usize].0 == 0 {
+                out[e.texel as usize] = cell;
+            }
+        }
+        out
     }
 
     /// Indirect light of the texels in two halves.

@@ -18,7 +18,7 @@ use crate::light::{Direct, Emitters, TexelLight, Visibility};
 use crate::observer::{Observer, Progress};
 use crate::options::{BakeOptions, Normals};
 use crate::photon::{Bins, EnergyLedger, Flux, Shooting, StartTable};
-use crate::report::HistoryEntry;
+use crate::report::{HistoryEntry, RoundSeconds};
 use glam::Vec3;
 use std::collections::HashMap;
 use std::time::Instant;
@@ -108,8 +108,13 @@ pub struct Solution {
     missed: Vec<Missed>,
     /// Which limit ended it before the targets were met.
     pub limit: Option<&'static str>,
+    /// Cell of the odd half that each texel of the map is in, or [`NO_CELL`](crate::cell::NO_CELL): buried, or
+    /// gathered. Empty where nothing is smoothed.
+    pub cell_of: Vec<u32>,
     /// One entry per round.
     pub history: Vec<HistoryEntry>,
+    /// When each of them ended.
+    pub rounds: Vec<RoundSeconds>,
     /// Direct samples of all texels and both halves.
     pub direct_samples: u64,
     /// Shadow rays of direct light.
@@ -157,6 +162,7 @@ struct Solver<'a, 'o> {
     ledger: EnergyLedger,
     seconds: [f64; 3],
     history: Vec<HistoryEntry>,
+    rounds: Vec<RoundSeconds>,
     last: Option<(f64, f64)>,
 }
 
@@ -195,6 +201,7 @@ pub fn solve(
         ledger: EnergyLedger::default(),
         seconds: [0.0; 3],
         history: Vec::new(),
+        rounds: Vec::new(),
         last: None,
     };
     solver.run()
@@ -231,17 +238,20 @@ impl Solver<'_, '_> {
                 photons: self.photons * 2,
                 rays,
                 percent: solution.error.percent,
+                low: solution.error.low,
                 high: solution.error.high,
                 forecast_rays,
             });
             self.last = Some((solution.error.high, forecast_rays));
-            self.report_progress()?;
+            let now = self.report_progress()?;
+            self.rounds.push(RoundSeconds { at: now.elapsed, forecast: now.elapsed + now.remaining.unwrap_or(0.0) });
             let done = wish.is_none();
             match next.and_then(|r| self.bounded(r)).filter(|_| stopped.is_none()) {
                 Some(next) => round = next,
                 None => {
                     solution.limit = if done { None } else { stopped.or(Some(self.exhausted())) };
                     solution.history = std::mem::take(&mut self.history);
+                    solution.rounds = std::mem::take(&mut self.rounds);
                     solution.seconds = self.seconds;
                     return Ok(solution);
                 }
@@ -355,10 +365,10 @@ impl Solver<'_, '_> {
         self.direct.rays() + self.ledger.rays + self.gather_rays
     }
 
-    fn report_progress(&mut self) -> Result<(), BakeError> {
+    fn report_progress(&mut self) -> Result<Progress, BakeError> {
         let p = progress(self.began, self.options, self.rays(), self.last, self.seconds[0] + self.seconds[1]);
         self.observer.progress(&p);
-        if self.observer.cancelled() { Err(BakeError::Cancelled) } else { Ok(()) }
+        if self.observer.cancelled() { Err(BakeError::Cancelled) } else { Ok(p) }
     }
 
     /// Rays that a round takes.
