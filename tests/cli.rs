@@ -70,7 +70,8 @@ fn a_bake_that_meets_its_targets_writes_everything_and_returns_0() {
     let message = expect(&output, 0);
     assert!(message.contains("target 10 % met"), "{message}");
     let out = folder.path().join("out");
-    let expected = ["lightmap-0.exr", "lightmap-0.png", "lightmap.json", "report.json", "scene.glb", "view-0.png"];
+    let expected =
+        ["lightmap-0.exr", "lightmap-0.png", "lightmap.json", "report.html", "report.json", "scene.glb", "view-0.png"];
     assert_eq!(files(&out), expected);
 
     let printed: Value = serde_json::from_slice(&output.stdout).expect("stdout is the report alone");
@@ -159,7 +160,7 @@ fn wrong_usage_returns_2_and_writes_nothing() {
 
 #[test]
 fn what_is_not_built_is_refused_not_ignored() {
-    let flags: [&[&str]; 9] = [
+    let flags: [&[&str]; 8] = [
         &["--target-shown-percent", "5"],
         &["--texel-value", "fit"],
         &["--audit", "auto"],
@@ -167,7 +168,6 @@ fn what_is_not_built_is_refused_not_ignored() {
         &["--resume"],
         &["--plan", "p"],
         &["--shard", "1/2"],
-        &["--no-html"],
         &["other.glb"],
     ];
     for flags in flags {

@@ -21,7 +21,7 @@ pub struct Cli {
 #[derive(Debug, Subcommand)]
 #[allow(clippy::large_enum_variant)]
 pub enum Command {
-    /// Bake lightmaps: EXR maps, the scene with lightmap UVs, a manifest and a report.
+    /// Bake lightmaps: EXR maps, the scene with lightmap UVs, a manifest and a report as JSON and HTML.
     Bake(BakeArgs),
     /// Say what is in a scene, what would be baked, and what is wrong with it.
     Inspect {
@@ -168,9 +168,9 @@ pub struct BakeArgs {
     /// Write no preview pictures.
     #[arg(long, help_heading = "Run")]
     pub no_preview: bool,
-    /// (not built yet) Write no HTML report.
+    /// Write no report.html.
     #[arg(long, help_heading = "Run")]
-    no_html: bool,
+    pub no_html: bool,
 }
 
 impl BakeArgs {
@@ -238,7 +238,6 @@ impl BakeArgs {
             (self.resume, "--resume"),
             (self.plan.is_some(), "--plan"),
             (self.shard.is_some(), "--shard"),
-            (self.no_html, "--no-html"),
             (self.scene.len() > 1, "more than one scene"),
         ];
         match asked.iter().find(|a| a.0) {

@@ -1,11 +1,12 @@
 //! `evenlight bake`: a scene in, a folder of results out.
 
 use super::args::BakeArgs;
-use super::terminal::{Terminal, seconds};
+use super::terminal::Terminal;
 use evenlight::output::glb::{self, GlbOptions};
 use evenlight::output::lightmap_exr::{self, ExrSettings};
 use evenlight::output::manifest::{Manifest, ManifestInputs};
-use evenlight::output::{preview, write_atomically};
+use evenlight::output::words::seconds;
+use evenlight::output::{preview, report_html, write_atomically};
 use evenlight::report::Report;
 use evenlight::scene::{Camera, Projection, Scene};
 use evenlight::{Bake, BakeError, BakeOptions, bake};
@@ -43,6 +44,9 @@ pub fn run(args: &BakeArgs) -> Result<u8, BakeError> {
     write_scene(folder, &scene, &mut bake, &options, args.removes_baked_lights())?;
     if !args.no_preview {
         write_previews(folder, &scene, &bake)?;
+    }
+    if !args.no_html {
+        report_html::write(&folder.join("report.html"), &bake)?;
     }
     let report = to_json(&folder.join("report.json"), &bake.report)?;
     if args.json {

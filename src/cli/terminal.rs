@@ -1,6 +1,7 @@
 //! Progress on a terminal, or as lines in a log.
 
 use evenlight::observer::{Progress, Stage};
+use evenlight::output::words::seconds;
 use evenlight::{Observer, Warning};
 use indicatif::{ProgressBar, ProgressStyle};
 use std::io::IsTerminal;
@@ -92,15 +93,5 @@ impl Observer for Terminal {
 
     fn cancelled(&self) -> bool {
         self.interrupted.load(Relaxed)
-    }
-}
-
-/// Seconds as a person says them.
-pub fn seconds(s: f64) -> String {
-    match s {
-        s if s < 9.95 => format!("{s:.1} s"),
-        s if s < 120.0 => format!("{s:.0} s"),
-        s if s < 7200.0 => format!("{:.0} min {:02.0} s", (s / 60.0).floor(), s % 60.0),
-        s => format!("{:.1} h", s / 3600.0),
     }
 }

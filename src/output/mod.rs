@@ -9,6 +9,8 @@ pub mod lightmap_exr;
 pub mod manifest;
 pub mod preview;
 mod rects;
+pub mod report_html;
+pub mod words;
 
 pub use files::write_atomically;
 pub use rects::{NodeRect, node_rects};
