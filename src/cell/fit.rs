@@ -14,15 +14,14 @@ const FIT_REACH: f32 = 1.2;
 /// A plane counts up to this many sides of its cell away from the centre.
 const BLEND_REACH: f32 = 1.2;
 
-/// What a cell caught and its planes do not tell is added back where it is this many times its variance: cells no
-/// finer than the light would otherwise stay smoothed however many photons there are.
+/// What cells caught and their planes do not tell is added back where its square is this many times its variance.
 const SURE: f64 = 4.0;
 
-/// Regions of so many cells are put right first, as a whole.
-const REGIONS: [usize; 4] = [usize::MAX / 2, 1024, 128, 16];
+/// Regions of so many cells are put right as a whole.
+const REGIONS: [usize; 4] = [usize::MAX, 1024, 128, 16];
 
-/// ... in so many steps, each of which finds most of what is left.
-const CORRECTIONS: usize = 2;
+/// Each cell then is put right in so many steps, each of which finds most of what is left.
+const STEPS: usize = 2;
 
 /// Cells whose normals are further apart than this have nothing to do with each other.
 const LEAST_COSINE: f32 = 0.7;
@@ -70,53 +69,17 @@ pub fn reconstruct(
     let moments: Vec<Cell> = cells.ranges.par_iter().map(|r| Cell::new(tree, &cells.order[r.clone()], flux)).collect();
     let index = CellIndex::new(&moments);
     let around: Vec<Vec<u32>> = (0..moments.len()).into_par_iter().map(|i| index.around(&moments, i, accel)).collect();
-    let noise = |i: usize| photon * f64::from(dispersion[cells.order[cells.ranges[i].start] as usize]);
+    let noise: Vec<f64> =
+        cells.ranges.iter().map(|r| photon * f64::from(dispersion[cells.order[r.start] as usize])).collect();
     let planes: Vec<Plane> =
-        (0..moments.len()).into_par_iter().map(|i| fit(&moments, i, &around[i], noise(i))).collect();
-    let elements = |i: usize| cells.order[cells.ranges[i].clone()].iter().map(|&k| &tree.elements[k as usize]);
+        (0..moments.len()).into_par_iter().map(|i| fit(&moments, i, &around[i], noise[i])).collect();
+    let fitted = Fitted { tree, cells, moments: &moments, around: &around, noise: &noise };
     let mut parts: Vec<Vec<Vec3>> = (0..moments.len())
         .into_par_iter()
-        .map(|i| elements(i).map(|e| blend(&moments, &planes, i, &around[i], e.position).max(Vec3::ZERO)).collect())
+        .map(|i| fitted.elements(i).map(|e| blend_planes(&moments, &planes, i, &around[i], e.position)).collect())
         .collect();
-    // Planes that are cut off at 0 or reach into darker cells add light: regions give back what they never caught.
-    for size in REGIONS {
-        parts.par_chunks_mut(size).enumerate().for_each(|(region, parts)| {
-            let (mut caught, mut found, mut variance) = (DVec3::ZERO, DVec3::ZERO, 0.0);
-            for (i, values) in (region * size..).zip(parts.iter()) {
-                caught += moments[i].flux;
-                found += elements(i).zip(values).map(|(e, v)| f64::from(e.area) * v.as_dvec3()).sum::<DVec3>();
-                variance += noise(i) * moments[i].flux.element_sum() / 3.0;
-            }
-            let missing = caught - found;
-            let keep = (1.0 - SURE * variance / missing.length_squared().max(1e-300)).max(0.0);
-            let factor = DVec3::ONE + keep * missing / found.max(DVec3::splat(1e-300));
-            let factor = factor.clamp(DVec3::splat(0.5), DVec3::splat(2.0)).as_vec3();
-            if factor != Vec3::ONE {
-                parts.iter_mut().flatten().for_each(|v| *v *= factor);
-            }
-        });
-    }
-    for _ in 0..CORRECTIONS {
-        let missing: Vec<Vec3> = (0..moments.len())
-            .into_par_iter()
-            .map(|i| {
-                let own = &moments[i];
-                let found: DVec3 = elements(i).zip(&parts[i]).map(|(e, v)| f64::from(e.area) * v.as_dvec3()).sum();
-                let r = own.flux - found;
-                let variance = noise(i) * own.flux.element_sum() / 3.0;
-                let keep = (1.0 - SURE * variance / r.length_squared().max(1e-300)).max(0.0);
-                (r * (keep / own.area)).as_vec3()
-            })
-            .collect();
-        parts.par_iter_mut().enumerate().for_each(|(i, values)| {
-            if around[i].iter().all(|&j| missing[j as usize] == Vec3::ZERO) {
-                return;
-            }
-            for (value, e) in values.iter_mut().zip(elements(i)) {
-                *value = (*value + blend_of(&moments, i, &around[i], e.position, |j, _| missing[j])).max(Vec3::ZERO);
-            }
-        });
-    }
+    REGIONS.iter().for_each(|&size| fitted.keep_energy(&mut parts, size));
+    (0..STEPS).for_each(|_| fitted.give_back(&mut parts));
     let mut out = vec![Vec3::ZERO; tree.elements.len()];
     cells.order.iter().zip(parts.iter().flatten()).for_each(|(&k, &e)| out[k as usize] = e);
     let mut sides = vec![0.0; tree.elements.len()];
@@ -124,6 +87,78 @@ pub fn reconstruct(
         cells.order[range.clone()].iter().for_each(|&k| sides[k as usize] = cell.side);
     }
     (out, sides)
+}
+
+/// Cells and what their planes must agree with.
+struct Fitted<'a> {
+    tree: &'a SurfaceTree,
+    cells: &'a Cells,
+    moments: &'a [Cell],
+    around: &'a [Vec<u32>],
+    /// Variance of the flux of each cell over its flux.
+    noise: &'a [f64],
+}
+
+impl Fitted<'_> {
+    fn elements(&self, i: usize) -> impl Iterator<Item = &Element> {
+        self.cells.order[self.cells.ranges[i].clone()].iter().map(|&k| &self.tree.elements[k as usize])
+    }
+
+    /// Flux that each cell caught and that `parts`, the irradiance of its elements, do not tell.
+    fn missing(&self, parts: &[Vec<Vec3>]) -> Vec<DVec3> {
+        let told = |i: usize| -> DVec3 {
+            self.elements(i).zip(&parts[i]).map(|(e, v)| f64::from(e.area) * v.as_dvec3()).sum()
+        };
+        (0..parts.len()).into_par_iter().map(|i| self.moments[i].flux - told(i)).collect()
+    }
+
+    /// Variance of what a cell caught, for all channels.
+    fn variance(&self, i: usize) -> f64 {
+        self.noise[i] * self.moments[i].flux.element_sum() / 3.0
+    }
+
+    /// Scales the light of regions of `size` cells to what they caught, as far as that is sure: planes that are cut
+    /// off at 0 or reach into darker cells add light.
+    fn keep_energy(&self, parts: &mut [Vec<Vec3>], size: usize) {
+        let missing = self.missing(parts);
+        let size = size.min(parts.len().max(1));
+        parts.par_chunks_mut(size).enumerate().for_each(|(region, parts)| {
+            let (mut caught, mut lost, mut variance) = (DVec3::ZERO, DVec3::ZERO, 0.0);
+            for i in region * size..region * size + parts.len() {
+                caught += self.moments[i].flux;
+                lost += missing[i];
+                variance += self.variance(i);
+            }
+            let told = (caught - lost).max(DVec3::splat(1e-300));
+            let factor = DVec3::ONE + lost * sure(lost, variance) / told;
+            let factor = factor.clamp(DVec3::splat(0.5), DVec3::splat(2.0)).as_vec3();
+            if factor != Vec3::ONE {
+                parts.iter_mut().flatten().for_each(|v| *v *= factor);
+            }
+        });
+    }
+
+    /// Adds what cells miss for sure, blended as their planes are: those no larger than what they show would stay
+    /// smoothed however many photons there are.
+    fn give_back(&self, parts: &mut [Vec<Vec3>]) {
+        let missing = self.missing(parts).into_iter().enumerate();
+        let back: Vec<Vec3> =
+            missing.map(|(i, m)| (m * (sure(m, self.variance(i)) / self.moments[i].area)).as_vec3()).collect();
+        parts.par_iter_mut().enumerate().for_each(|(i, values)| {
+            let around = &self.around[i];
+            if around.iter().all(|&j| back[j as usize] == Vec3::ZERO) {
+                return;
+            }
+            for (value, e) in values.iter_mut().zip(self.elements(i)) {
+                *value = (*value + blend(self.moments, i, around, e.position, |j, _| back[j])).max(Vec3::ZERO);
+            }
+        });
+    }
+}
+
+/// The share of a difference that is not noise of this variance (James and Stein).
+fn sure(difference: DVec3, variance: f64) -> f64 {
+    (1.0 - SURE * variance / difference.length_squared().max(1e-300)).max(0.0)
 }
 
 /// Whether two cells may be parts of one smooth surface: turned to the same side, and neither above the other.
@@ -215,15 +250,15 @@ fn fit(cells: &[Cell], i: usize, around: &[u32], noise: f64) -> Plane {
 }
 
 /// The planes around `at`, a point of cell `i`, by a partition of unity.
-fn blend(cells: &[Cell], planes: &[Plane], i: usize, around: &[u32], at: Vec3) -> Vec3 {
-    blend_of(cells, i, around, at, |j, d| {
+fn blend_planes(cells: &[Cell], planes: &[Plane], i: usize, around: &[u32], at: Vec3) -> Vec3 {
+    blend(cells, i, around, at, |j, d| {
         let plane = &planes[j];
         (plane.value + Vec3::from(plane.gradient.map(|g| g.dot(d)))).max(Vec3::ZERO)
     })
 }
 
 /// What `value(j, at - centre)` gives for the cells j around `at`, a point of cell `i`, by a partition of unity.
-fn blend_of(cells: &[Cell], i: usize, around: &[u32], at: Vec3, value: impl Fn(usize, Vec3) -> Vec3) -> Vec3 {
+fn blend(cells: &[Cell], i: usize, around: &[u32], at: Vec3, value: impl Fn(usize, Vec3) -> Vec3) -> Vec3 {
     let (mut sum, mut weight) = (Vec3::ZERO, 0.0);
     for &j in around {
         let cell = &cells[j as usize];

@@ -9,7 +9,7 @@
 
 use crate::accel::{Ray, offset_origin};
 use crate::atlas::TexelSampler;
-use crate::light::{Direct, Receiver, SAMPLE_DIMENSIONS, START_SLOTS, TexelLight};
+use crate::light::{Direct, Receiver, START_SLOTS, TexelLight};
 use crate::photon::StartTable;
 use crate::sampling::{Stream, cosine_hemisphere, hash_mix, hash_seed, sobol, unit_f32};
 use crate::scene::SurfaceFlags;
@@ -127,8 +127,7 @@ impl Gather<'_> {
                 let near = hit.t < NEAR * texels.texels[texel].area.sqrt();
                 let sent = if near {
                     let at = Receiver::new(world, hit.triangle, uv, back, false);
-                    let u: [f32; SAMPLE_DIMENSIONS] = std::array::from_fn(|_| stream.unit());
-                    self.light.light(at, |d| u[d], stream, rays).sent
+                    self.light.any_light(at, stream, rays).sent
                 } else {
                     self.sent_directly(half, texel)
                 };
@@ -170,8 +169,7 @@ impl Gather<'_> {
         let texel = starts.pick(f64::from(u), None);
         let slot = stream.bits() as usize % START_SLOTS;
         let Some(start) = self.direct.start(half, texel, slot) else { return Vec3::ZERO };
-        let TexelLight { texels, visibility, .. } = self.light;
-        let from = Receiver::new(visibility.world, start.triangle, start.uv, texels.texels[texel].back, false);
+        let from = self.light.start(texel, start);
         let to = from.origin - at.origin;
         let d2 = to.length_squared();
         if d2 < 1e-14 {
@@ -183,7 +181,7 @@ impl Gather<'_> {
             return Vec3::ZERO;
         }
         *rays += 1;
-        let passed = visibility.transmittance(&Ray { origin: at.origin, direction: to, t_max: 1.0 });
+        let passed = self.light.visibility.transmittance(&Ray { origin: at.origin, direction: to, t_max: 1.0 });
         if passed == Vec3::ZERO {
             return Vec3::ZERO;
         }

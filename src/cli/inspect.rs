@@ -102,7 +102,6 @@ pub struct TextureEntry {
 /// Looks at everything in a scene; decodes its images.
 pub fn inspect(scene: &Scene) -> Inspection {
     let mut world = World::new(scene);
-    let parted = part_coincident(&mut world);
     let square_metres = world.frame.metres * world.frame.metres;
     let mut instances = Vec::with_capacity(scene.instances.len());
     let mut material_areas = vec![0.0; scene.materials.len()];
@@ -155,6 +154,8 @@ pub fn inspect(scene: &Scene) -> Inspection {
     };
     let found = judge(&inspection, scene, &material_areas);
     inspection.warnings.extend(found);
+    // Last, for it moves what was measured.
+    let parted = part_coincident(&mut world);
     inspection.warnings.extend(coincident_warning(&world, &parted));
     inspection
 }

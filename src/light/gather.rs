@@ -81,6 +81,18 @@ impl TexelLight<'_> {
         cover_above(self.visibility, &at, height).is_none().then_some(at)
     }
 
+    /// Where the start of a photon from `texel` receives light: the very point that the sample was taken at.
+    pub fn start(&self, texel: usize, start: &StartSlot) -> Receiver {
+        let back = self.texels.texels[texel].back;
+        Receiver::new(self.visibility.world, start.triangle, start.uv, back, self.smooth)
+    }
+
+    /// One sample of the light at `at`, all of it from `stream`.
+    pub fn any_light(&self, at: Receiver, stream: &mut Stream, rays: &mut u64) -> LitPoint {
+        let u: [f32; SAMPLE_DIMENSIONS] = std::array::from_fn(|_| stream.unit());
+        self.light(at, |d| u[d], stream, rays)
+    }
+
     /// One sample of the light at `at`, from `SAMPLE_DIMENSIONS` random numbers `u(d)` and what `more` gives.
     pub fn light(&self, at: Receiver, u: impl Fn(usize) -> f32, more: &mut Stream, rays: &mut u64) -> LitPoint {
         let world = self.visibility.world;

@@ -6,7 +6,7 @@ use super::start::StartTable;
 use super::walk::{Photon, walk};
 use crate::accel::Ray;
 use crate::atlas::TexelSampler;
-use crate::light::{Direct, Receiver, SAMPLE_DIMENSIONS, START_SLOTS, StartSlot, TexelLight};
+use crate::light::{Direct, START_SLOTS, StartSlot, TexelLight};
 use crate::sampling::{DIMENSIONS, Stream, cosine_hemisphere, hash_mix, sobol, sobol_index_of_stratum, unit_f32};
 use glam::Vec2;
 use rayon::prelude::*;
@@ -116,14 +116,11 @@ impl Shooting<'_> {
             dimension += 1;
             if dimension < DIMENSIONS { sobol(index, dimension, scramble) } else { stream.bits() }
         };
-        let visibility = self.light.visibility;
-        // The very point that the direct light was found at.
-        let back = self.light.texels.texels[texel].back;
-        let at = Receiver::new(visibility.world, start.triangle, start.uv, back, false);
+        let at = self.light.start(texel, &start);
         let direction = cosine_hemisphere(at.geometric_normal, Vec2::new(unit_f32(random()), unit_f32(random())));
         let flux = start.color.map(|c| ((u64::from(c) * u64::from(net.weight) + 32767) / 65535) as u32);
         let photon = Photon { ray: Ray { origin: at.origin, direction, t_max: f32::INFINITY }, flux };
-        walk(photon, visibility, self.crevice, random, &mut task.trail, &mut task.ledger);
+        walk(photon, self.light.visibility, self.crevice, random, &mut task.trail, &mut task.ledger);
     }
 
     /// Many photons from one point crowd around it: the start moves over its texel, to a point drawn anew with the
@@ -137,8 +134,7 @@ impl Shooting<'_> {
         let rays = &mut task.ledger.rays;
         let place = Vec2::new(stream.unit(), stream.unit());
         let Some(at) = self.light.point(texel, &task.sampler, place, rays) else { return };
-        let u: [f32; SAMPLE_DIMENSIONS] = std::array::from_fn(|_| stream.unit());
-        let found = self.light.light(at, |d| u[d], stream, rays);
+        let found = self.light.any_light(at, stream, rays);
         if let Some(other) = StartSlot::new(&found).filter(|other| other.largest > stream.unit() * start.largest) {
             *start = other;
         }

@@ -87,7 +87,11 @@ impl Solver<'_, '_> {
             mesh_percent,
             area_within_target,
             cells: found.cells,
-            cell_of: self.cell_of(&found),
+            cell_of: if found.cell_of.is_empty() {
+                Vec::new()
+            } else {
+                scattered(&tree.elements, &found.cell_of, open.len(), NO_CELL)
+            },
             energy_change: if all > 0.0 { kept / all - 1.0 } else { 0.0 },
             squares,
             missed,
@@ -183,8 +187,8 @@ impl Solver<'_, '_> {
             .filter(|e| again[instance(e.texel)])
             .map(|e| (e.texel, self.gathered[instance(e.texel)]))
             .collect();
-        let indirect = [0, 1].map(|h| scattered(&tree.elements, &found.values[h], open.len()));
-        let blur = [0, 1].map(|h| scattered(&tree.elements, &found.sides[h], open.len()));
+        let indirect = [0, 1].map(|h| scattered(&tree.elements, &found.values[h], open.len(), Vec3::ZERO));
+        let blur = [0, 1].map(|h| scattered(&tree.elements, &found.sides[h], open.len(), 0.0));
         let gather = Gather {
             seed: self.options.seed,
             light: self.path.light(false),
@@ -215,22 +219,11 @@ impl Solver<'_, '_> {
         for (k, e) in tree.elements.iter().enumerate().filter(|(_, e)| gathers(e)) {
             let light = self.kept[&e.texel];
             (0..2).for_each(|h| found.values[h][k] = light[h]);
-        }
-        Ok(())
-    }
-
-    /// Cells of the odd half by texel.
-    fn cell_of(&self, found: &Reconstruction) -> Vec<u32> {
-        if found.cell_of.is_empty() {
-            return Vec::new();
-        }
-        let mut out = vec![NO_CELL; self.path.open.len()];
-        for (e, &cell) in self.path.tree.elements.iter().zip(&found.cell_of) {
-            if self.gathered_at[self.weights.instance[e.texel as usize] as usize].0 == 0 {
-                out[e.texel as usize] = cell;
+            if let Some(cell) = found.cell_of.get_mut(k) {
+                *cell = NO_CELL;
             }
         }
-        out
+        Ok(())
     }
 
     /// Indirect light of the texels in two halves.
@@ -238,7 +231,7 @@ impl Solver<'_, '_> {
         let LightPath { tree, open, .. } = self.path;
         let whole = self.options.texel_value == TexelValue::Mean;
         let [odd, even] = [0, 1].map(|h| {
-            let mut out = scattered(&tree.elements, &found.values[h], open.len());
+            let mut out = scattered(&tree.elements, &found.values[h], open.len(), Vec3::ZERO);
             if whole {
                 out.iter_mut().zip(open).for_each(|(e, open)| *e *= *open);
             }
@@ -281,9 +274,9 @@ fn per_open(open: f32) -> f32 {
     if open > 0.0 { 1.0 / open } else { 0.0 }
 }
 
-/// Values of elements at the places of their texels.
-fn scattered<T: Copy + Default>(elements: &[Element], values: &[T], texels: usize) -> Vec<T> {
-    let mut out = vec![T::default(); texels];
+/// Values of elements at the places of their texels, `none` elsewhere.
+fn scattered<T: Copy>(elements: &[Element], values: &[T], texels: usize, none: T) -> Vec<T> {
+    let mut out = vec![none; texels];
     elements.iter().zip(values).for_each(|(e, v)| out[e.texel as usize] = *v);
     out
 }

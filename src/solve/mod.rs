@@ -261,9 +261,8 @@ impl Solver<'_, '_> {
 
     /// Traces one round; the name of the limit that ended it early.
     fn trace(&mut self, round: &Round) -> Result<Option<&'static str>, BakeError> {
-        let began = self.sample(round.samples)?;
-        if began.is_some() {
-            return Ok(began);
+        if let Some(limit) = self.sample(round.samples)? {
+            return Ok(Some(limit));
         }
         let limit = self.shoot(round.photons)?;
         Ok(limit.or_else(|| self.out_of_time().then_some("time-limit")))
@@ -272,22 +271,23 @@ impl Solver<'_, '_> {
     /// Takes direct samples; the limit that ended them early.
     fn sample(&mut self, samples: u64) -> Result<Option<&'static str>, BakeError> {
         let texels = self.path.texels;
+        let light = self.path.light(self.options.normals == Normals::Smooth);
         let mut left = samples;
         while left > 0 {
+            let started = Instant::now();
             let most = MOST_SAMPLES_AT_ONCE.max(MOST_PER_TEXEL_AT_ONCE * texels.texels.len() as u64);
             let budget = left.min(most);
-            left -= budget;
             if self.direct.samples() == 0 {
-                let first = vec![FIRST_SAMPLES; texels.texels.len()];
-                self.extend(|_| [first.clone(), first]);
+                self.direct.extend(&|_, _| FIRST_SAMPLES, self.options.seed, &light);
                 left = 0;
             } else {
-                self.extend(|s| {
-                    let counts =
-                        |texel: usize| s.weights.instance.get(texel).map_or(1.0, |&i| s.importance[i as usize]);
-                    s.direct.allocate(budget, texels, counts)
-                });
+                let counts =
+                    |texel: usize| self.weights.instance.get(texel).map_or(1.0, |&i| self.importance[i as usize]);
+                let more = self.direct.allocate(budget, texels, counts);
+                self.direct.extend(&|half, texel| more[half][texel], self.options.seed, &light);
+                left -= budget;
             }
+            self.seconds[0] += started.elapsed().as_secs_f64();
             self.report_progress()?;
             if left > 0 && self.out_of_time() {
                 return Ok(Some("time-limit"));
@@ -296,21 +296,26 @@ impl Solver<'_, '_> {
         Ok(None)
     }
 
-    /// Takes the direct samples that `more` says for each half and texel.
-    fn extend(&mut self, more: impl FnOnce(&Self) -> [Vec<u32>; 2]) {
-        let started = Instant::now();
-        let more = more(self);
-        let light = self.path.light(self.options.normals == Normals::Smooth);
-        self.direct.extend(&|half, texel| more[half][texel], self.options.seed, &light);
-        self.seconds[0] += started.elapsed().as_secs_f64();
-    }
-
     /// Shoots `photons` per half in nets; the limit that ended them early.
     fn shoot(&mut self, photons: u64) -> Result<Option<&'static str>, BakeError> {
+        let mut started = Instant::now();
         let LightPath { texels, open, visibility, crevice, .. } = self.path;
         let starts = [0, 1].map(|h| StartTable::new(texels, &self.direct, h));
         let total = starts[0].total().max(starts[1].total());
-        let (mut left, mut limit) = (if total > 0.0 { photons } else { 0 }, None);
+        if total <= 0.0 {
+            return Ok(None);
+        }
+        if self.flux.is_some_and(|f| !f.holds(total)) {
+            // The first direct samples missed nearly all of the light: so did the photons they started.
+            self.flux = None;
+            self.bins = Bins::new(visibility.world, texels, open);
+            self.ledger = EnergyLedger::default();
+            self.photons = 0;
+            self.gathered_at.fill((0, 0));
+        }
+        let flux = *self.flux.get_or_insert_with(|| Flux::for_total(total));
+        let (seed, light) = (self.options.seed, self.path.light(false));
+        let (mut left, mut limit) = (photons, None);
         while left > 0 {
             // The smallest net is shot whatever the limit: without any, indirect light would be black.
             let most = self.options.max_photons.map_or(u64::MAX, |m| (m / 2).max(1 << LEAST_NET_BITS));
@@ -320,18 +325,7 @@ impl Solver<'_, '_> {
                 break;
             }
             let bits = left.min(allowed).ilog2().clamp(LEAST_NET_BITS, LARGEST_NET_BITS);
-            let started = Instant::now();
-            if self.flux.is_some_and(|f| !f.holds(total)) {
-                // The first direct samples missed nearly all of the light: so did the photons they started.
-                self.flux = None;
-                self.bins = Bins::new(visibility.world, texels, open);
-                self.ledger = EnergyLedger::default();
-                self.photons = 0;
-                self.gathered_at.fill((0, 0));
-            }
-            let flux = *self.flux.get_or_insert_with(|| Flux::for_total(total));
-            let (seed, direct, light) = (self.options.seed, &self.direct, self.path.light(false));
-            let shooting = Shooting { seed, flux, starts: &starts, direct, light, crevice };
+            let shooting = Shooting { seed, flux, starts: &starts, direct: &self.direct, light, crevice };
             for (half, start) in starts.iter().enumerate() {
                 // A half whose direct samples found no light sends out nothing, but its photons count.
                 if start.total() > 0.0 {
@@ -342,6 +336,7 @@ impl Solver<'_, '_> {
             self.photons += 1 << bits;
             left = left.saturating_sub(1 << bits);
             self.seconds[1] += started.elapsed().as_secs_f64();
+            started = Instant::now();
             self.report_progress()?;
             if left > 0 && self.out_of_time() {
                 limit = Some("time-limit");

@@ -13,6 +13,7 @@ pub use render::{RenderSettings, render};
 use crate::error::BakeError;
 use crate::lightmap::LightmapPage;
 use image::ImageEncoder;
+use image::codecs::png::{CompressionType, FilterType, PngEncoder};
 use std::path::Path;
 
 /// An 8-bit sRGB image.
@@ -32,6 +33,11 @@ impl RgbImage {
     /// # Errors
     /// [`BakeError::Options`] where the image has no pixels or not `3 * width * height` values.
     pub fn to_png(&self) -> Result<Vec<u8>, BakeError> {
+        self.to_filtered_png(FilterType::default())
+    }
+
+    /// [`to_png`](Self::to_png) with a chosen filter: few flat colours are smaller without any.
+    pub(super) fn to_filtered_png(&self, filter: FilterType) -> Result<Vec<u8>, BakeError> {
         let (width, height) = (self.width, self.height);
         let invalid = |why: &dyn std::fmt::Display| {
             BakeError::Options(format!("a preview of {width} x {height} pixels cannot be encoded: {why}"))
@@ -40,7 +46,7 @@ impl RgbImage {
             return Err(invalid(&"it needs at least one pixel, and three values per pixel"));
         }
         let mut png = Vec::new();
-        image::codecs::png::PngEncoder::new(&mut png)
+        PngEncoder::new_with_quality(&mut png, CompressionType::default(), filter)
             .write_image(&self.rgb, width, height, image::ExtendedColorType::Rgb8)
             .map_err(|e| invalid(&e))?;
         Ok(png)

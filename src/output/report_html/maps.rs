@@ -5,11 +5,11 @@ use crate::bake::Bake;
 use crate::cell::NO_CELL;
 use crate::error::BakeError;
 use crate::lightmap::LightmapPage;
+use crate::output::preview::RgbImage;
 use crate::sampling::hash_mix;
 use crate::solve::Solution;
 use base64::Engine;
-use image::codecs::png::{CompressionType, FilterType, PngEncoder};
-use image::{ExtendedColorType, ImageEncoder};
+use image::codecs::png::FilterType;
 use rayon::prelude::*;
 
 /// Pages that are shown, at most.
@@ -167,12 +167,8 @@ impl Grid {
 
     /// A picture as a data URI.
     fn uri(&self, colours: impl Iterator<Item = [u8; 3]>) -> Result<String, BakeError> {
-        let rgb: Vec<u8> = colours.flatten().collect();
-        let mut png = Vec::new();
-        // Filters only hide from the compressor that there are few colours.
-        PngEncoder::new_with_quality(&mut png, CompressionType::Default, FilterType::NoFilter)
-            .write_image(&rgb, self.width, self.height, ExtendedColorType::Rgb8)
-            .map_err(|e| BakeError::Options(format!("a map of the report cannot be encoded: {e}")))?;
+        let image = RgbImage { width: self.width, height: self.height, rgb: colours.flatten().collect() };
+        let png = image.to_filtered_png(FilterType::NoFilter)?;
         let png = base64::engine::general_purpose::STANDARD.encode(png);
         Ok(format!("data:image/png;base64,{png}"))
     }
