@@ -58,6 +58,8 @@ pub struct Missed {
     pub texels: usize,
     /// Rays that each of its texels gathers indirect light with, per half; 0 while photons are to do.
     pub gathered: u32,
+    /// Of `indirect`, what is noise of those rays; the rest is in the light that they look up.
+    pub of_rays: f64,
 }
 
 /// What brings missed meshes to their target.
@@ -87,9 +89,6 @@ const GATHER_SCATTER: f64 = 2.0;
 const GATHER_RANGE: std::ops::RangeInclusive<f64> = 16.0..=16384.0;
 const GATHER_GROWTH: f64 = 8.0;
 
-/// From this many times the first gather rays on, more of them are not what is missing.
-const SATED: f64 = 4.0;
-
 /// Light is gathered anew once there are so many times the photons.
 pub const GATHER_AGAIN: u64 = 4;
 
@@ -110,10 +109,12 @@ pub fn plan_meshes(missed: &[Missed], spared: usize, target: f64, photon_cost: f
     let dim = || meshes.iter().copied().filter(|m| m.indirect > SHARE);
     let photons_for = |m: &Missed| libm::pow(m.indirect / SHARE, 1.0 / INDIRECT_FALL);
 
-    // Where many gather rays do not help, what they look up is too noisy.
-    let sated = |m: &&Missed| f64::from(m.gathered) >= SATED * first;
-    let least = dim().filter(sated).map(|m| photons_for(m).max(GATHER_AGAIN as f64)).fold(1.0, f64::max);
-    let hungry = dim().filter(|m| m.gathered > 0 && !sated(m));
+    // What is gathered errs by its rays, or by the light that they look up.
+    let hungry = |m: &&Missed| m.gathered > 0 && m.of_rays > 0.5 * m.indirect && samples(m) > f64::from(m.gathered);
+    let least = dim()
+        .filter(|m| m.gathered > 0 && !hungry(m))
+        .map(|m| photons_for(m).max(GATHER_AGAIN as f64))
+        .fold(1.0, f64::max);
 
     // Photon growth that each of the others would need, the largest first: those above a line gather, the rest
     // wait for photons to grow up to it.
@@ -133,7 +134,7 @@ pub fn plan_meshes(missed: &[Missed], spared: usize, target: f64, photon_cost: f
     MeshPlan {
         photons: growth(best.1),
         direct: meshes.iter().filter(|m| m.direct > SHARE).map(|m| (m.instance, m.direct / SHARE)).collect(),
-        gather: new.chain(hungry).map(|m| (m.instance, samples(m) as u32)).collect(),
+        gather: new.chain(dim().filter(hungry)).map(|m| (m.instance, samples(m) as u32)).collect(),
     }
 }
 
@@ -169,7 +170,8 @@ mod tests {
 
     #[test]
     fn small_meshes_gather_and_large_ones_wait_for_photons() {
-        let missed = |instance, indirect, texels| Missed { instance, direct: 0.1, indirect, texels, gathered: 0 };
+        let missed =
+            |instance, indirect, texels| Missed { instance, direct: 0.1, indirect, texels, gathered: 0, of_rays: 0.0 };
         let meshes = [missed(0, 400.0, 30), missed(1, 1.2, 200_000), missed(2, 90.0, 100)];
         let plan = plan_meshes(&meshes, 0, 0.15, 1e7);
         assert_eq!(plan.gather.iter().map(|g| g.0).collect::<Vec<_>>(), [0, 2]);
@@ -178,9 +180,17 @@ mod tests {
         // The dearest may be spared.
         let plan = plan_meshes(&meshes, 1, 0.15, 1e7);
         assert_eq!(plan.photons, 1.0);
-        // What is gathered grows by what is missing.
-        let again = Missed { gathered: 89, indirect: 2.0, ..meshes[0] };
+        // What is gathered grows by what is missing, where its rays are too few.
+        let again = Missed { gathered: 89, indirect: 2.0, of_rays: 1.5, ..meshes[0] };
         let plan = plan_meshes(&[again], 0, 0.15, 1e7);
         assert_eq!(plan.gather, [(0, (89.0f64 * 2.0 / 0.5 * 1.1).ceil() as u32)]);
+        assert_eq!(plan.photons, 1.0);
+        // Where they are not, what they look up must get better.
+        let plan = plan_meshes(&[Missed { of_rays: 0.3, ..again }], 0, 0.15, 1e7);
+        assert!(plan.gather.is_empty() && plan.photons >= GATHER_AGAIN as f64, "{plan:?}");
+        // ... and where no more are allowed, likewise.
+        let full = Missed { gathered: *GATHER_RANGE.end() as u32, ..again };
+        let plan = plan_meshes(&[full], 0, 0.15, 1e7);
+        assert!(plan.gather.is_empty() && plan.photons >= GATHER_AGAIN as f64, "{plan:?}");
     }
 }

@@ -43,11 +43,20 @@ pub struct Gather<'a> {
     pub blur: [&'a [f32]; 2],
 }
 
+/// What one texel gathered from one half.
+#[derive(Debug, Clone, Copy, Default)]
+pub struct Gathered {
+    /// Indirect irradiance (lux) of its open part.
+    pub light: Vec3,
+    /// Squared standard error of it, mean over the channels, as if its rays were independent: an upper bound of what
+    /// they add, without what is wrong with the light that they look up.
+    pub variance: f32,
+}
+
 impl Gather<'_> {
-    /// Indirect irradiance (lux) of the open part of each of `wanted`, (texel, samples), from one half; with the
-    /// number of rays traced.
-    pub fn texels(&self, half: usize, wanted: &[(u32, u32)]) -> (Vec<Vec3>, u64) {
-        let found: Vec<(Vec3, u64)> = wanted
+    /// What each of `wanted`, (texel, samples), gathers from one half; with the number of rays traced.
+    pub fn texels(&self, half: usize, wanted: &[(u32, u32)]) -> (Vec<Gathered>, u64) {
+        let found: Vec<(Gathered, u64)> = wanted
             .par_iter()
             .with_min_len(16)
             .map_init(TexelSampler::default, |sampler, &(texel, samples)| {
@@ -58,25 +67,31 @@ impl Gather<'_> {
         (found.into_iter().map(|f| f.0).collect(), rays)
     }
 
-    fn texel(&self, half: usize, texel: usize, samples: u32, sampler: &mut TexelSampler) -> (Vec3, u64) {
+    fn texel(&self, half: usize, texel: usize, samples: u32, sampler: &mut TexelSampler) -> (Gathered, u64) {
         let key = hash_mix(hash_mix(self.seed, 0x6761_7468_6572), (texel as u64) << 1 | half as u64);
         let scramble = hash_seed(&[key]);
         let lit = self.starts[half].total() > 0.0;
         sampler.load(self.light.texels, texel);
-        let (mut sum, mut rays) = (Vec3::ZERO, 0);
+        let (mut sum, mut squares, mut rays) = (Vec3::ZERO, 0.0, 0);
         for k in 0..samples {
             let u = |d: usize| unit_f32(sobol(k, d, scramble));
             let mut stream = Stream::new(hash_mix(key, u64::from(k)));
             let Some(at) = self.light.point(texel, sampler, Vec2::new(u(0), u(1)), &mut rays) else { continue };
             let direction = cosine_hemisphere(at.geometric_normal, Vec2::new(u(2), u(3)));
-            sum += self.along(half, &at, direction, &mut stream, &mut rays);
+            let mut sample = self.along(half, &at, direction, &mut stream, &mut rays);
             if lit {
-                sum += self.towards_light(half, &at, u(4), &mut stream, &mut rays);
+                sample += self.towards_light(half, &at, u(4), &mut stream, &mut rays);
             }
+            sum += sample;
+            squares += sample.length_squared();
         }
-        let open = self.light.open[texel];
-        let value = if open > 0.0 { sum / (samples as f32 * open) } else { Vec3::ZERO };
-        (if value.is_finite() { value } else { Vec3::ZERO }, rays)
+        let (n, open) = (samples as f32, self.light.open[texel]);
+        let light = sum / (n * open);
+        if open <= 0.0 || !light.is_finite() {
+            return (Gathered::default(), rays);
+        }
+        let scatter = (squares - sum.length_squared() / n).max(0.0) / (n - 1.0).max(1.0);
+        (Gathered { light, variance: scatter / (3.0 * n * open * open) }, rays)
     }
 
     /// Radiosity that comes back along a cosine-distributed direction. Direct light reflected at the first

@@ -12,7 +12,7 @@ mod links;
 mod tree;
 
 pub use bias::{Bias, bias};
-pub use gather::Gather;
+pub use gather::{Gather, Gathered};
 pub use tree::{Element, Node, Setting, SurfaceTree};
 
 use crate::accel::Accel;

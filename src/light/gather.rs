@@ -119,14 +119,21 @@ struct HalfTexel {
     stored: Vec3,
     /// Largest channel of rho E.
     exitance: f32,
-    /// Variance of one sample as the first samples show it, of what is stored and of what is sent out.
-    pilot_variance: f32,
+    /// Sum of the squares of both: of what is stored, the mean over the channels.
+    squares: f32,
     slots: [StartSlot; START_SLOTS],
 }
 
 impl HalfTexel {
     const EMPTY: HalfTexel =
-        HalfTexel { samples: 0, stored: Vec3::ZERO, exitance: 0.0, pilot_variance: 0.0, slots: [NO_SLOT; START_SLOTS] };
+        HalfTexel { samples: 0, stored: Vec3::ZERO, exitance: 0.0, squares: 0.0, slots: [NO_SLOT; START_SLOTS] };
+
+    /// Variance of one sample, of what is stored and of what is sent out.
+    fn variance(&self) -> f64 {
+        let n = f64::from(self.samples);
+        let square_of_sum = f64::from(self.stored.length_squared()) / 3.0 + f64::from(self.exitance).powi(2);
+        if n > 1.0 { ((f64::from(self.squares) - square_of_sum / n) / (n - 1.0)).max(0.0) } else { 0.0 }
+    }
 }
 
 /// Direct light of all texels, gathered so far.
@@ -177,10 +184,11 @@ impl Direct {
     /// How many more samples each half of each texel should take, so that `budget` in all bring the noise down
     /// most: in proportion to the square root of area times variance (Neyman 1934), counting what a texel has.
     ///
-    /// What steers a texel are the first samples of the *other* texels around it, and of its own half. The number of
+    /// What steers a texel are the samples of the *other* texels around it, and of its own half. The number of
     /// samples of a texel is then independent of their values, so that their mean is unbiased; and nothing passes
-    /// from one half to the other, so that the halves stay independent. (What all texels together decide, the scale
-    /// here and when to stop, depends on any one of them by a part in their number.)
+    /// from one half to the other, so that the halves stay independent. (How well its neighbours are known does depend
+    /// on what a texel found before, but not in the mean; and what all texels together decide, the scale here and
+    /// when to stop, depends on any one of them by a part in their number.)
     pub fn allocate(&self, budget: u64, texels: &Texels, importance: impl Fn(usize) -> f32) -> [Vec<u32>; 2] {
         [0, 1].map(|half| {
             let wish = self.wishes(half, texels, &importance);
@@ -208,7 +216,7 @@ impl Direct {
     /// Square root of area times variance of each texel, relative to the mean. The variance is that of its
     /// neighbours: a penumbra found by one texel is looked for in those beside it.
     fn wishes(&self, half: usize, texels: &Texels, importance: &impl Fn(usize) -> f32) -> Vec<f64> {
-        let variance: Vec<f64> = self.halves[half].iter().map(|h| f64::from(h.pilot_variance)).collect();
+        let variance: Vec<f64> = self.halves[half].iter().map(HalfTexel::variance).collect();
         let around = around(&variance);
         let weight = |i: usize| f64::from(texels.texels[i].area) * f64::from(importance(i));
         let wanted: Vec<f64> = around.iter().enumerate().map(|(i, v)| weight(i) * v).collect();
@@ -300,27 +308,21 @@ impl HalfTexel {
     ) {
         const { assert!(SAMPLE_DIMENSIONS + 2 <= DIMENSIONS) };
         let scramble = hash_seed(&[key]);
-        let mut squares = 0.0;
         for k in self.samples..self.samples + count {
             let u = |d: usize| unit_f32(sobol(k, d, scramble));
             let Some(at) = light.point(texel, sampler, Vec2::new(u(0), u(1)), rays) else { continue };
             let mut more = Stream::new(hash_mix(key, u64::from(k)));
             let found = light.light(at, |d| u(d + 2), &mut more, rays);
             self.stored += found.stored;
-            squares += found.stored.length_squared() / 3.0;
+            self.squares += found.stored.length_squared() / 3.0;
             let Some(start) = StartSlot::new(&found) else { continue };
             self.exitance += start.largest;
-            squares += start.largest * start.largest;
+            self.squares += start.largest * start.largest;
             for slot in &mut self.slots {
                 if more.unit() * self.exitance < start.largest {
                     *slot = start;
                 }
             }
-        }
-        if self.samples == 0 && count > 1 {
-            let mean2 = self.stored.length_squared() / 3.0 + self.exitance * self.exitance;
-            let n = count as f32;
-            self.pilot_variance = ((squares - mean2 / n) / (n - 1.0)).max(0.0);
         }
         self.samples += count;
     }

@@ -66,11 +66,18 @@ impl Solver<'_, '_> {
         let mesh_percent = percentile_95(&meshes);
         let split = self.squares(&direct, &indirect, &weights, &biases);
         let squares = split.iter().fold((0.0, 0.0), |s, p| (s.0 + p.0, s.1 + p.1));
+        let rays_noise = self.gather_noise(&weights);
         let missed = meshes.iter().filter(|m| m.error_percent > mesh_target).map(|m| {
             let (a, b) = split[m.instance];
             let square = (m.error_percent / mesh_target).powi(2) / (a + b).max(1e-300);
-            let gathered = self.gathered[m.instance];
-            Missed { instance: m.instance, direct: a * square, indirect: b * square, texels: m.texels, gathered }
+            Missed {
+                instance: m.instance,
+                direct: a * square,
+                indirect: b * square,
+                texels: m.texels,
+                gathered: self.gathered[m.instance],
+                of_rays: rays_noise[m.instance].min(b) * square,
+            }
         });
         let missed = missed.collect();
         let flux = |values: &[Vec3]| -> f64 {
@@ -129,6 +136,20 @@ impl Solver<'_, '_> {
             (direct + starts, indirect - starts + bias.likely())
         };
         sums.into_iter().zip(biases).map(split).collect()
+    }
+
+    /// Squared error that too few gather rays leave in each instance, times its weight.
+    fn gather_noise(&self, weights: &TexelWeights) -> Vec<f64> {
+        let mut sums = vec![0.0; self.gathered.len()];
+        // In the order of the texels, so that the sums have the same bits on every run.
+        for e in self.path.tree.elements.iter().filter(|_| !self.kept.is_empty()) {
+            let i = e.texel as usize;
+            if let Some(halves) = weights.weight.get(i).and_then(|_| self.kept.get(&e.texel)) {
+                let variance = halves.iter().map(|g| f64::from(g.variance)).sum::<f64>() / 4.0;
+                sums[weights.instance[i] as usize] += weights.weight[i] * variance;
+            }
+        }
+        sums
     }
 
     fn direct_halves(&self) -> Halves {
@@ -218,7 +239,7 @@ impl Solver<'_, '_> {
         let gathers = |e: &Element| self.gathered_at[instance(e.texel)].0 > 0;
         for (k, e) in tree.elements.iter().enumerate().filter(|(_, e)| gathers(e)) {
             let light = self.kept[&e.texel];
-            (0..2).for_each(|h| found.values[h][k] = light[h]);
+            (0..2).for_each(|h| found.values[h][k] = light[h].light);
             if let Some(cell) = found.cell_of.get_mut(k) {
                 *cell = NO_CELL;
             }

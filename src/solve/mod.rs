@@ -12,14 +12,13 @@ use crate::accuracy::{
     Halves, MeshError, Missed, Spent, TexelError, TexelWeights, cheapest_growth, gather_rays, plan_meshes,
 };
 use crate::atlas::Texels;
-use crate::cell::SurfaceTree;
+use crate::cell::{Gathered, SurfaceTree};
 use crate::error::BakeError;
 use crate::light::{Direct, Emitters, TexelLight, Visibility};
 use crate::observer::{Observer, Progress};
 use crate::options::{BakeOptions, Normals};
 use crate::photon::{Bins, EnergyLedger, Flux, Shooting, StartTable};
 use crate::report::{HistoryEntry, RoundSeconds};
-use glam::Vec3;
 use std::collections::HashMap;
 use std::time::Instant;
 
@@ -150,8 +149,8 @@ struct Solver<'a, 'o> {
     gather_rays: u64,
     /// Gather rays and photons at which each instance gathered last.
     gathered_at: Vec<(u32, u64)>,
-    /// Gathered indirect light (lux) of both halves by texel.
-    kept: HashMap<u32, [Vec3; 2]>,
+    /// Gathered indirect light of both halves by texel.
+    kept: HashMap<u32, [Gathered; 2]>,
     /// How much more the direct light of each instance counts than its area says.
     importance: Vec<f32>,
     /// Texels of each instance on the map.
