@@ -46,7 +46,7 @@ pub struct BakeOptions {
     pub double_sided: DoubleSided,
     /// What a stored texel is. Default: the mean over its open part.
     pub texel_value: TexelValue,
-    /// What indirect light is smoothed over. Default: cells.
+    /// What indirect light and that of the sky are smoothed over. Default: cells.
     pub smoothing: Smoothing,
     /// What the maps hold. Default: irradiance over pi.
     pub quantity: Quantity,
@@ -182,7 +182,7 @@ pub enum TexelValue {
     Mean,
 }
 
-/// What indirect light is smoothed over.
+/// What indirect light and that of the sky are smoothed over.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Smoothing {
     /// Cells of many texels, as large as the noise asks for; what that blurs is part of the stated error.

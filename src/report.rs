@@ -33,7 +33,7 @@ pub struct Report {
     pub cell_bias: f64,
     /// Bias that could not be told from none: the root of the standard error of its square.
     pub cell_bias_resolution: f64,
-    /// What smoothing changed in the sum of all indirect light (%).
+    /// What smoothing changed in the sum of all light that is smoothed (%).
     pub cell_energy_change: f64,
     /// sqrt(sigma^2 + cell_bias^2).
     pub texel_error_percent: f64,

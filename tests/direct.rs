@@ -65,7 +65,7 @@ impl Stage<'_> {
         let mut direct = Direct::new(self.texels.texels.len());
         self.extend(&mut direct, seed, |_, _| 2);
         for _ in 0..rounds {
-            let more = direct.allocate(direct.samples(), &self.texels, |_| 1.0);
+            let more = direct.allocate(direct.all_samples(), &self.texels, |_| 1.0);
             self.extend(&mut direct, seed, |half, texel| more[half][texel]);
         }
         direct

@@ -23,6 +23,12 @@ impl Halves {
         (self.odd[texel] + self.even[texel]) * 0.5
     }
 
+    /// Light of both kinds.
+    pub fn plus(&self, other: &Halves) -> Halves {
+        let add = |a: &[Vec3], b: &[Vec3]| a.par_iter().zip(b).map(|(a, b)| *a + *b).collect();
+        Halves { odd: add(&self.odd, &other.odd), even: add(&self.even, &other.even) }
+    }
+
     /// Half the difference: as noisy as the mean, with expectation 0.
     pub fn difference(&self, texel: usize) -> Vec3 {
         (self.odd[texel] - self.even[texel]) * 0.5
@@ -106,19 +112,21 @@ fn luminance(c: Vec3) -> f64 {
 /// What is known of the light of every texel of the map.
 #[derive(Debug, Clone, Copy)]
 pub struct Known<'a> {
-    /// Light straight from emitters: every texel errs on its own.
+    /// Light straight from emitters.
     pub direct: &'a Halves,
-    /// Reflected light: what lies in one block errs together.
+    /// Reflected light.
     pub indirect: &'a Halves,
     /// Both.
     pub total: &'a Halves,
+    /// Of it, light in which every texel errs on its own; in the rest, what lies in one block errs together.
+    pub apart: &'a Halves,
     /// How texels count.
     pub weights: &'a TexelWeights,
     /// The surface that blocks are of.
     pub tree: &'a SurfaceTree,
-    /// Blocks of the indirect light.
+    /// Blocks of the smoothed light.
     pub blocks: &'a [Node],
-    /// Squared bias of the indirect light over all.
+    /// Its squared bias over all.
     pub bias: Bias,
 }
 
@@ -131,11 +139,12 @@ struct Sums {
     square_y: f64,
     direct: f64,
     indirect: f64,
+    apart: f64,
 }
 
 /// The error over all texels with weight.
 pub fn texel_error(known: &Known) -> TexelError {
-    let Known { direct, indirect, total, weights, .. } = *known;
+    let Known { direct, indirect, total, apart, weights, .. } = *known;
     let n = weights.weight.len();
     let third = |d: Vec3| f64::from(d.length_squared()) / 3.0;
     // Fixed blocks, summed in order: the same bits for any number of threads.
@@ -154,6 +163,7 @@ pub fn texel_error(known: &Known) -> TexelError {
                     s.square_y += w * luminance(d).powi(2);
                     s.direct += w * third(direct.difference(i));
                     s.indirect += w * third(indirect.difference(i));
+                    s.apart += w * third(apart.difference(i));
                 }
             }
             s
@@ -167,7 +177,7 @@ pub fn texel_error(known: &Known) -> TexelError {
     let mean = mean / weight;
     let percent = |square: f64| 100.0 * (square.max(0.0) / weight).sqrt() / mean;
     // Upper and lower end of the noise, taken as chi-square.
-    let variance = direct_variance(&blocks) + indirect_variance(known);
+    let variance = apart_variance(&blocks) + smoothed_variance(known);
     let nu = if variance > 0.0 { (2.0 * square * square / variance).clamp(3.0, 1e6) } else { 1e6 };
     let noise_low = square * nu / chi_square_quantile(0.975, nu);
     let noise_high = square * nu / chi_square_quantile(0.025, nu);
@@ -190,19 +200,19 @@ pub fn texel_error(known: &Known) -> TexelError {
     }
 }
 
-/// Variance of the sum of the squared direct noise: neighbouring blocks are compared, in which what varies slowly
-/// over the atlas cancels.
-fn direct_variance(blocks: &[Sums]) -> f64 {
-    blocks.chunks_exact(2).map(|p| (p[0].direct - p[1].direct).powi(2)).sum()
+/// Variance of the sum of the squared noise of texels that err apart: neighbouring blocks are compared, in which what
+/// varies slowly over the atlas cancels.
+fn apart_variance(blocks: &[Sums]) -> f64 {
+    blocks.chunks_exact(2).map(|p| (p[0].apart - p[1].apart).powi(2)).sum()
 }
 
-/// Variance of the sum of the squared indirect noise, from what each block adds to it.
-fn indirect_variance(known: &Known) -> f64 {
-    let Known { indirect, weights, tree, blocks, .. } = *known;
+/// Variance of the sum of the squared noise of the smoothed light, from what each block adds to it.
+fn smoothed_variance(known: &Known) -> f64 {
+    let Known { total, apart, weights, tree, blocks, .. } = *known;
     let term = |b: &Node| {
         let of = |k: usize| {
             let i = tree.elements[k].texel as usize;
-            weights.weight[i] * f64::from(indirect.difference(i).length_squared()) / 3.0
+            weights.weight[i] * f64::from((total.difference(i) - apart.difference(i)).length_squared()) / 3.0
         };
         2.0 / CELL_FREEDOM * b.elements.clone().map(of).sum::<f64>().powi(2)
     };

@@ -1,8 +1,8 @@
 //! How much more light it takes.
 
-/// The squared error of the indirect light falls as photons^-this: cells shrink as photons get more, so that
+/// The squared error of light smoothed over cells falls as photons^-this: cells shrink as photons get more, so that
 /// noise and bias fall together (-2/3 for smooth light, -1/2 at kinks; measured -0.5 to -0.7).
-const INDIRECT_FALL: f64 = 0.6;
+const SMOOTH_FALL: f64 = 0.6;
 
 /// Aimed for below the target: estimates scatter.
 const MARGIN: f64 = 0.96;
@@ -10,8 +10,10 @@ const MARGIN: f64 = 0.96;
 /// Squared errors by source and the cost of each so far.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Spent {
-    /// Squared error of the direct light, falling as 1 / samples.
+    /// Squared error of direct light that falls as 1 / samples.
     pub direct: f64,
+    /// Squared error of direct light that is smoothed over cells, noise and bias.
+    pub soft: f64,
     /// Squared error of the indirect light, noise and bias.
     pub indirect: f64,
     /// Cost of the direct light so far, > 0.
@@ -23,20 +25,24 @@ pub struct Spent {
 /// Factors (>= 1) on both kinds of work that bring the sum of the squared errors down to `1 / needed` of it with
 /// the least cost.
 pub fn cheapest_growth(spent: &Spent, needed: f64) -> (f64, f64) {
-    let Spent { direct, indirect, direct_cost, photon_cost } = *spent;
-    let goal = (direct + indirect) / needed * MARGIN * MARGIN;
+    let Spent { direct, soft, indirect, direct_cost, photon_cost } = *spent;
+    let goal = (direct + soft + indirect) / needed * MARGIN * MARGIN;
     if needed <= 1.0 || goal <= 0.0 || goal.is_nan() {
         return (1.0, 1.0);
     }
     // At the least cost a little more of either brings the same: the price m of error says how far to go.
+    let best = |m: f64, square: f64, fall: f64, cost: f64| libm::pow(m * fall * square / cost, 1.0 / (1.0 + fall));
+    // Both kinds of direct light fall together, at first by the mean of their powers.
+    let direct_fall = (direct + SMOOTH_FALL * soft) / (direct + soft).max(1e-300);
     let growth = |m: f64| {
-        let x = (m * direct / direct_cost).sqrt();
-        let y = libm::pow(m * INDIRECT_FALL * indirect / photon_cost, 1.0 / (1.0 + INDIRECT_FALL));
+        let x = best(m, direct + soft, direct_fall, direct_cost);
+        let y = best(m, indirect, SMOOTH_FALL, photon_cost);
         (x.max(1.0), y.max(1.0))
     };
-    let error = |(x, y): (f64, f64)| direct / x + indirect * libm::pow(y, -INDIRECT_FALL);
+    let smooth = |growth: f64| libm::pow(growth, -SMOOTH_FALL);
+    let error = |(x, y): (f64, f64)| direct / x + soft * smooth(x) + indirect * smooth(y);
     // By logarithms, for prices span many orders of magnitude.
-    let scale = (direct_cost + photon_cost) / (direct + indirect);
+    let scale = (direct_cost + photon_cost) / (direct + soft + indirect);
     let (mut low, mut high) = (-40.0, 80.0);
     for _ in 0..60 {
         let middle = 0.5 * (low + high);
@@ -107,7 +113,7 @@ pub fn plan_meshes(missed: &[Missed], spared: usize, target: f64, photon_cost: f
     meshes.sort_by(|a, b| cost(b).total_cmp(&cost(a)).then(a.instance.cmp(&b.instance)));
     let meshes = &meshes[spared.min(meshes.len())..];
     let dim = || meshes.iter().copied().filter(|m| m.indirect > SHARE);
-    let photons_for = |m: &Missed| libm::pow(m.indirect / SHARE, 1.0 / INDIRECT_FALL);
+    let photons_for = |m: &Missed| libm::pow(m.indirect / SHARE, 1.0 / SMOOTH_FALL);
 
     // What is gathered errs by its rays, or by the light that they look up.
     let hungry = |m: &&Missed| m.gathered > 0 && m.of_rays > 0.5 * m.indirect && samples(m) > f64::from(m.gathered);
@@ -144,24 +150,24 @@ mod tests {
 
     #[test]
     fn growth_meets_the_goal_at_the_least_cost() {
-        let spent = Spent { direct: 3.0, indirect: 5.0, direct_cost: 1e6, photon_cost: 3e6 };
+        let spent = Spent { direct: 3.0, soft: 0.0, indirect: 5.0, direct_cost: 1e6, photon_cost: 3e6 };
         let (x, y) = cheapest_growth(&spent, 4.0);
-        let error = |x: f64, y: f64| 3.0 / x + 5.0 * y.powf(-INDIRECT_FALL);
+        let error = |x: f64, y: f64| 3.0 / x + 5.0 * y.powf(-SMOOTH_FALL);
         let cost = |x: f64, y: f64| 1e6 * x + 3e6 * y;
         assert!((error(x, y) / (2.0 * MARGIN * MARGIN) - 1.0).abs() < 1e-6);
         // Any other way to the same error costs more.
         for other in [0.8 * x, 1.2 * x] {
             let rest = error(x, y) - 3.0 / other;
-            let paired = (rest / 5.0).powf(-1.0 / INDIRECT_FALL);
+            let paired = (rest / 5.0).powf(-1.0 / SMOOTH_FALL);
             assert!(cost(other, paired) > cost(x, y));
         }
     }
 
     #[test]
     fn what_adds_no_error_does_not_grow() {
-        let spent = Spent { direct: 0.0, indirect: 1.0, direct_cost: 1e6, photon_cost: 1e6 };
+        let spent = Spent { direct: 0.0, soft: 0.0, indirect: 1.0, direct_cost: 1e6, photon_cost: 1e6 };
         assert_eq!(cheapest_growth(&spent, 9.0).0, 1.0);
-        let spent = Spent { direct: 1.0, indirect: 0.0, direct_cost: 1e6, photon_cost: 1e6 };
+        let spent = Spent { direct: 1.0, soft: 0.0, indirect: 0.0, direct_cost: 1e6, photon_cost: 1e6 };
         let (x, y) = cheapest_growth(&spent, 9.0);
         assert_eq!(y, 1.0);
         assert!((x - 9.0 / (MARGIN * MARGIN)).abs() < 1e-3);

@@ -1,7 +1,7 @@
 //! What smoothing over cells adds to the error.
 
 use super::tree::{Node, SurfaceTree};
-use super::{ElementFlux, Reconstruction};
+use glam::Vec3;
 use rayon::prelude::*;
 
 /// Sums of a squared bias over surface.
@@ -32,17 +32,19 @@ impl Bias {
 /// With R the reconstruction of a half and r its raw irradiance, both independent of the other half's,
 /// `(R_odd - r_odd) (R_even - r_even)` has the product of both biases as its expectation, however the cells were
 /// chosen: with sigma from the difference of the halves it adds up to the squared error of the mean. On single
-/// texels r is too noisy to see it, so means over blocks are taken: those of `found`, halved `depth` times, for the
-/// bias of a plane changes sign within its cell. What averages out within one goes unseen.
+/// texels r is too noisy to see it, so means over `blocks` are taken, halved `depth` times, for the bias of a plane
+/// changes sign within its cell. What averages out within one goes unseen. `values` are the irradiances R (lux) and
+/// `caught` the flux that r is of.
 pub fn bias(
     tree: &SurfaceTree,
-    caught: [&ElementFlux; 2],
-    found: &Reconstruction,
+    caught: [&[[f32; 3]]; 2],
+    values: [&[Vec3]; 2],
+    blocks: &[Node],
     groups: usize,
     depth: u32,
     weight: impl Fn(usize) -> (f64, u32) + Sync,
 ) -> Vec<Bias> {
-    let mut blocks: Vec<Node> = found.blocks.clone();
+    let mut blocks: Vec<Node> = blocks.to_vec();
     for _ in 0..depth {
         let halve = |n: Node| tree.children(&n).map_or_else(|| vec![n], |pair| pair.to_vec());
         blocks = blocks.into_iter().flat_map(halve).collect();
@@ -62,7 +64,7 @@ pub fn bias(
                 }
                 for h in 0..2 {
                     for c in 0..3 {
-                        over[h][c] += f64::from(a * found.values[h][k][c]) - f64::from(caught[h][k][c]);
+                        over[h][c] += f64::from(a * values[h][k][c]) - f64::from(caught[h][k][c]);
                     }
                 }
             }

@@ -1,6 +1,6 @@
 //! Which nodes of the tree become cells: as fine as the photons can tell.
 
-use super::ElementFlux;
+use super::Caught;
 use super::tree::{Node, SurfaceTree};
 use std::sync::atomic::{AtomicU8, AtomicU32, Ordering::Relaxed};
 
@@ -26,10 +26,17 @@ const SCENE_BLOCKS: f64 = 16.0;
 struct Sum {
     area: f64,
     flux: [f64; 3],
+    variance: f64,
     /// Dispersion, summed over the area.
     dispersion: f64,
     /// Deviance gained by the splits kept below, what they have to gain taken off.
     gain: f64,
+}
+
+/// Flux of one photon: what noise of this variance, mean over the channels, is of when photons bring `flux`.
+fn photon(flux: &[f64; 3], variance: f64) -> f64 {
+    let mean = flux.iter().sum::<f64>() / 3.0;
+    if mean > 0.0 { variance / mean } else { f64::INFINITY }
 }
 
 /// What [`choose`] found.
@@ -41,10 +48,10 @@ pub struct Choice {
     pub specks: Vec<(Node, Node)>,
 }
 
-/// The cells of one half: the nodes that explain `flux` best, each cell paying for itself (Kolaczyk and Nowak,
+/// The cells of one half: the nodes that explain what was caught best, each cell paying for itself (Kolaczyk and Nowak,
 /// "Multiscale likelihood analysis and complexity penalized estimation", 2004; optimal pruning as in dyadic
-/// CART, Donoho 1997). `photon` is the flux of one photon, `dispersion` what [`dispersion`] found.
-pub fn choose(tree: &SurfaceTree, flux: &ElementFlux, photon: f64, dispersion: &[f32]) -> Choice {
+/// CART, Donoho 1997). `dispersion` is what [`dispersion`] found.
+pub fn choose(tree: &SurfaceTree, caught: &Caught, dispersion: &[f32]) -> Choice {
     let mut choice = Choice::default();
     if tree.is_empty() {
         return choice;
@@ -52,16 +59,24 @@ pub fn choose(tree: &SurfaceTree, flux: &ElementFlux, photon: f64, dispersion: &
     let marks: Vec<AtomicU8> = (0..tree.len()).map(|_| AtomicU8::new(WHOLE)).collect();
     let leaf = |k: usize| {
         let area = f64::from(tree.elements[k].area);
-        Sum { area, flux: flux[k].map(f64::from), dispersion: area * f64::from(dispersion[k]), gain: 0.0 }
+        Sum {
+            area,
+            flux: caught.flux[k].map(f64::from),
+            variance: caught.variance[k],
+            dispersion: area * f64::from(dispersion[k]),
+            gain: 0.0,
+        }
     };
     let join = |node: &Node, a: Sum, b: Sum| {
         let sum = Sum {
             area: a.area + b.area,
             flux: std::array::from_fn(|c| a.flux[c] + b.flux[c]),
+            variance: a.variance + b.variance,
             dispersion: a.dispersion + b.dispersion,
             gain: a.gain + b.gain,
         };
         let price = (1.0 + PENALTY) * sum.dispersion / sum.area;
+        let photon = photon(&sum.flux, sum.variance);
         let photons = |s: &Sum| s.flux.iter().fold(0.0, |m: f64, &f| m.max(f)) / photon;
         let small = |s: &Sum| photons(s).max(photons(&sum) * s.area / sum.area) < LEAST_PHOTONS;
         // To split off a speck gains nothing and costs nothing: what is below the rest decides.
@@ -121,32 +136,38 @@ fn deviance(a: &Sum, b: &Sum, photon: f64) -> f64 {
 /// independently, 3 for grey ones, less where low-discrepancy nets spread them evenly, more where they come in
 /// showers, as in a white lampshade. From the difference of the halves in blocks of many photons each, pooled over
 /// regions of many blocks and drawn to the mean of the scene.
-pub fn dispersion(tree: &SurfaceTree, halves: [&ElementFlux; 2], photon: f64) -> Vec<f32> {
-    if tree.is_empty() || photon <= 0.0 {
-        return vec![1.0; tree.elements.len()];
+pub fn dispersion(tree: &SurfaceTree, halves: [&Caught; 2]) -> Vec<f32> {
+    if tree.is_empty() {
+        return Vec::new();
     }
-    /// Flux of both halves where it is still too little for a block, else (sum, number) of the blocks.
+    /// Flux of both halves and their variance where it is still too little for a block, else (sum, number) of the
+    /// blocks.
     enum Part {
-        Flux([[f64; 3]; 2]),
+        Flux([[f64; 3]; 2], f64),
         Blocks(f64, u32),
     }
-    let block = |f: &[[f64; 3]; 2]| {
+    let block = |f: &[[f64; 3]; 2], photon: f64| {
         let channel = |c: usize| {
             let (sum, difference) = (f[0][c] + f[1][c], f[0][c] - f[1][c]);
             if sum > 0.0 { difference * difference / (sum * photon) } else { 0.0 }
         };
         (0..3).map(channel).sum::<f64>()
     };
+    let photon = |f: &[[f64; 3]; 2], variance: f64| photon(&std::array::from_fn(|c| f[0][c] + f[1][c]), variance);
     let found: Vec<(AtomicU32, AtomicU32)> = (0..tree.len()).map(|_| Default::default()).collect();
-    let leaf = |k: usize| Part::Flux(halves.map(|h| h[k].map(f64::from)));
+    let leaf = |k: usize| {
+        let variance = halves.iter().map(|h| h.variance[k]).sum();
+        Part::Flux(halves.map(|h| h.flux[k].map(f64::from)), variance)
+    };
     let join = |node: &Node, a: Part, b: Part| {
         let part = match (a, b) {
-            (Part::Flux(a), Part::Flux(b)) => {
+            (Part::Flux(a, v), Part::Flux(b, w)) => {
                 let sum: [[f64; 3]; 2] = std::array::from_fn(|h| std::array::from_fn(|c| a[h][c] + b[h][c]));
+                let photon = photon(&sum, v + w);
                 if sum.iter().flatten().sum::<f64>() >= BLOCK_PHOTONS * photon {
-                    Part::Blocks(block(&sum), 1)
+                    Part::Blocks(block(&sum, photon), 1)
                 } else {
-                    Part::Flux(sum)
+                    Part::Flux(sum, v + w)
                 }
             }
             (Part::Blocks(s, n), Part::Blocks(t, m)) => Part::Blocks(s + t, n + m),
@@ -160,7 +181,7 @@ pub fn dispersion(tree: &SurfaceTree, halves: [&ElementFlux; 2], photon: f64) ->
     };
     let mean = match tree.fold(&tree.root(), &leaf, &join) {
         Part::Blocks(sum, n) => (sum / f64::from(n)).max(1e-3),
-        Part::Flux(sum) => block(&sum).max(1.0),
+        Part::Flux(sum, variance) => block(&sum, photon(&sum, variance)).max(1.0),
     };
     let mut out = vec![0.0; tree.elements.len()];
     for region in tree.cut(|n| found[n.index].1.load(Relaxed) <= REGION_BLOCKS) {

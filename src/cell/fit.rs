@@ -1,11 +1,12 @@
 //! Irradiance between cells: a plane fitted around each, blended where they meet.
 
-use super::ElementFlux;
 use super::links::{Cells, linked, middle_of};
 use super::tree::{Element, SurfaceTree};
+use super::{Caught, Samples};
 use crate::accel::Accel;
 use glam::{DMat3, DVec3, Vec3};
 use rayon::prelude::*;
+use std::ops::Range;
 
 /// A plane is fitted to its cell and those around it whose centres are nearer than this many sides of the cell,
 /// with a weight that falls linearly to 0 there.
@@ -16,6 +17,15 @@ const BLEND_REACH: f32 = 1.2;
 
 /// What cells caught and their planes do not tell is added back where its square is this many times its variance.
 const SURE: f64 = 4.0;
+
+/// Detail within a cell of n texels is told where its square is more than 1 + this / sqrt(n) times that of its noise.
+const DETAIL_DOUBT: f64 = 3.0;
+
+/// So many samples that found light in one element say nothing yet.
+const CHANCE: f64 = 3.0;
+
+/// Elements in a part of a cell over those in its parts.
+const DETAIL_STEP: usize = 8;
 
 /// Regions of so many cells are put right as a whole.
 const REGIONS: [usize; 4] = [usize::MAX, 1024, 128, 16];
@@ -41,9 +51,13 @@ struct Cell {
     normal: Vec3,
     /// Side of the square with the same variance [frame units].
     side: f32,
+    /// Largest distance of an element's centroid from the centre [frame units].
+    radius: f32,
     /// Second moment of the area, over the area.
     covariance: DMat3,
     flux: DVec3,
+    /// Variance of the flux, for all channels.
+    variance: f64,
     /// First moment of the flux per channel.
     moment: [DVec3; 3],
 }
@@ -55,31 +69,29 @@ struct Plane {
     gradient: [Vec3; 3],
 }
 
-/// Irradiance (lux) of every element and the side of its cell [frame units], in the order of the tree. `flux` is that
-/// of one half, `cells` its cells; the variance of a cell's flux, for all channels, is `photon` times the `dispersion`
-/// there times its flux.
+/// Irradiance (lux) of every element and the side of its cell [frame units], in the order of the tree. `caught` is that
+/// of one half, `cells` its cells; the variance of a cell's flux, for all channels, is that of its elements times the
+/// `dispersion` there.
 pub fn reconstruct(
     tree: &SurfaceTree,
     cells: &Cells,
-    flux: &ElementFlux,
-    photon: f64,
+    caught: &Caught,
     dispersion: &[f32],
     accel: &Accel,
 ) -> (Vec<Vec3>, Vec<f32>) {
-    let moments: Vec<Cell> = cells.ranges.par_iter().map(|r| Cell::new(tree, &cells.order[r.clone()], flux)).collect();
+    let moments: Vec<Cell> =
+        cells.ranges.par_iter().map(|r| Cell::new(tree, &cells.order[r.clone()], caught, dispersion)).collect();
     let index = CellIndex::new(&moments);
     let around: Vec<Vec<u32>> = (0..moments.len()).into_par_iter().map(|i| index.around(&moments, i, accel)).collect();
-    let noise: Vec<f64> =
-        cells.ranges.iter().map(|r| photon * f64::from(dispersion[cells.order[r.start] as usize])).collect();
-    let planes: Vec<Plane> =
-        (0..moments.len()).into_par_iter().map(|i| fit(&moments, i, &around[i], noise[i])).collect();
-    let fitted = Fitted { tree, cells, moments: &moments, around: &around, noise: &noise };
-    let mut parts: Vec<Vec<Vec3>> = (0..moments.len())
-        .into_par_iter()
-        .map(|i| fitted.elements(i).map(|e| blend_planes(&moments, &planes, i, &around[i], e.position)).collect())
-        .collect();
+    let planes: Vec<Plane> = (0..moments.len()).into_par_iter().map(|i| fit(&moments, i, &around[i])).collect();
+    let fitted = Fitted { tree, cells, moments: &moments, around: &around, caught, dispersion };
+    let mut parts: Vec<Vec<Vec3>> =
+        (0..moments.len()).into_par_iter().map(|i| fitted.blend(i, |j, d| planes[j].at(d))).collect();
     REGIONS.iter().for_each(|&size| fitted.keep_energy(&mut parts, size));
     (0..STEPS).for_each(|_| fitted.give_back(&mut parts));
+    if let Some(samples) = &caught.samples {
+        fitted.give_detail_back(&mut parts, samples);
+    }
     let mut out = vec![Vec3::ZERO; tree.elements.len()];
     cells.order.iter().zip(parts.iter().flatten()).for_each(|(&k, &e)| out[k as usize] = e);
     let mut sides = vec![0.0; tree.elements.len()];
@@ -95,8 +107,8 @@ struct Fitted<'a> {
     cells: &'a Cells,
     moments: &'a [Cell],
     around: &'a [Vec<u32>],
-    /// Variance of the flux of each cell over its flux.
-    noise: &'a [f64],
+    caught: &'a Caught,
+    dispersion: &'a [f32],
 }
 
 impl Fitted<'_> {
@@ -112,11 +124,6 @@ impl Fitted<'_> {
         (0..parts.len()).into_par_iter().map(|i| self.moments[i].flux - told(i)).collect()
     }
 
-    /// Variance of what a cell caught, for all channels.
-    fn variance(&self, i: usize) -> f64 {
-        self.noise[i] * self.moments[i].flux.element_sum() / 3.0
-    }
-
     /// Scales the light of regions of `size` cells to what they caught, as far as that is sure: planes that are cut
     /// off at 0 or reach into darker cells add light.
     fn keep_energy(&self, parts: &mut [Vec<Vec3>], size: usize) {
@@ -124,10 +131,11 @@ impl Fitted<'_> {
         let size = size.min(parts.len().max(1));
         parts.par_chunks_mut(size).enumerate().for_each(|(region, parts)| {
             let (mut caught, mut lost, mut variance) = (DVec3::ZERO, DVec3::ZERO, 0.0);
-            for i in region * size..region * size + parts.len() {
-                caught += self.moments[i].flux;
-                lost += missing[i];
-                variance += self.variance(i);
+            let cells = region * size..region * size + parts.len();
+            for (cell, missing) in self.moments[cells.clone()].iter().zip(&missing[cells]) {
+                caught += cell.flux;
+                lost += *missing;
+                variance += cell.variance;
             }
             let told = (caught - lost).max(DVec3::splat(1e-300));
             let factor = DVec3::ONE + lost * sure(lost, variance) / told;
@@ -138,20 +146,101 @@ impl Fitted<'_> {
         });
     }
 
+    /// What `value(j, x - centre of j)` gives for the cells j around each element of cell `i`, its centroid being x, by a
+    /// partition of unity.
+    fn blend(&self, i: usize, value: impl Fn(usize, Vec3) -> Vec3) -> Vec<Vec3> {
+        let own = &self.moments[i];
+        // Side by side, for every element looks at all of them.
+        let near: Vec<(Vec3, f32, u32)> = self.around[i]
+            .iter()
+            .map(|&j| (&self.moments[j as usize], j))
+            .map(|(c, j)| (c.centre, BLEND_REACH * c.side, j))
+            .filter(|&(centre, reach, j)| j as usize == i || centre.distance(own.centre) < reach + own.radius)
+            .collect();
+        let blended = |e: &Element| {
+            let (mut sum, mut weight) = (Vec3::ZERO, 0.0);
+            for &(centre, reach, j) in &near {
+                let d = e.position - centre;
+                let square = d.length_squared();
+                if square >= reach * reach && j as usize != i {
+                    continue;
+                }
+                let mut w = 1.0 - square.sqrt() / reach;
+                if j as usize == i {
+                    w = w.max(0.01);
+                }
+                w *= w;
+                sum += w * value(j as usize, d);
+                weight += w;
+            }
+            sum / weight
+        };
+        self.elements(i).map(blended).collect()
+    }
+
+    /// Adds the detail within each cell that is more than noise: edges of shadows that planes do not tell. First as far
+    /// as the whole cell shows it, then parts of it, then single elements.
+    fn give_detail_back(&self, parts: &mut [Vec<Vec3>], samples: &Samples) {
+        // Sums over each cell of the scatter, and of flux, mean over the channels, times grain.
+        let sums: Vec<(f64, f64)> = self.cells.ranges.par_iter().map(|r| self.noise_sums(r.clone(), samples)).collect();
+        parts.par_iter_mut().enumerate().for_each(|(i, values)| {
+            let elements = &self.cells.order[self.cells.ranges[i].clone()];
+            let around = self.around[i].iter().map(|&j| sums[j as usize]);
+            let (scatter, grains) = around.fold((0.0, 0.0), |s, c| (s.0 + c.0, s.1 + c.1));
+            let noise = if grains > 0.0 { scatter / grains } else { 0.0 };
+            let mut details: Vec<Detail> =
+                elements.iter().zip(&*values).map(|(&k, &v)| self.detail(k, v, noise, samples)).collect();
+            let mut size = elements.len();
+            while size > 0 {
+                details.chunks_mut(size).for_each(Detail::tell);
+                size /= DETAIL_STEP;
+            }
+            if details.iter().any(|d| d.left < 1.0) {
+                let told = details.iter().map(|d| d.raw - d.difference);
+                values.iter_mut().zip(told).for_each(|(v, told)| *v = told.max(Vec3::ZERO));
+            }
+        });
+    }
+
+    /// What element `k` caught beside `value`, its irradiance so far, where `noise` is the variance of flux over the
+    /// flux times the grain.
+    fn detail(&self, k: u32, value: Vec3, noise: f64, samples: &Samples) -> Detail {
+        let k = k as usize;
+        let area = self.tree.elements[k].area;
+        let expected = noise * f64::from(samples.grain[k]) * f64::from(value.element_sum() / 3.0 * area);
+        // Low-discrepancy nets are more even than this says within large cells, but not from texel to texel.
+        let channels = f64::from(self.dispersion[k].max(3.0)) / f64::from(area);
+        let raw = Vec3::from(self.caught.flux[k]) / area;
+        Detail {
+            raw,
+            difference: raw - value,
+            area: f64::from(area),
+            seen: samples.scatter[k] * channels,
+            expected: expected * channels,
+            chance: 3.0 * (CHANCE * noise * f64::from(samples.grain[k])).powi(2) / f64::from(area),
+            left: 1.0,
+        }
+    }
+
+    fn noise_sums(&self, range: Range<usize>, samples: &Samples) -> (f64, f64) {
+        self.cells.order[range].iter().map(|&k| k as usize).fold((0.0, 0.0), |(scatter, grains), k| {
+            let flux = f64::from(self.caught.flux[k].iter().sum::<f32>()) / 3.0;
+            (scatter + samples.scatter[k], grains + flux * f64::from(samples.grain[k]))
+        })
+    }
+
     /// Adds what cells miss for sure, blended as their planes are: those no larger than what they show would stay
     /// smoothed however many photons there are.
     fn give_back(&self, parts: &mut [Vec<Vec3>]) {
         let missing = self.missing(parts).into_iter().enumerate();
         let back: Vec<Vec3> =
-            missing.map(|(i, m)| (m * (sure(m, self.variance(i)) / self.moments[i].area)).as_vec3()).collect();
+            missing.map(|(i, m)| (m * (sure(m, self.moments[i].variance) / self.moments[i].area)).as_vec3()).collect();
         parts.par_iter_mut().enumerate().for_each(|(i, values)| {
-            let around = &self.around[i];
-            if around.iter().all(|&j| back[j as usize] == Vec3::ZERO) {
+            if self.around[i].iter().all(|&j| back[j as usize] == Vec3::ZERO) {
                 return;
             }
-            for (value, e) in values.iter_mut().zip(self.elements(i)) {
-                *value = (*value + blend(self.moments, i, around, e.position, |j, _| back[j])).max(Vec3::ZERO);
-            }
+            let more = self.blend(i, |j, _| back[j]);
+            values.iter_mut().zip(more).for_each(|(v, m)| *v = (*v + m).max(Vec3::ZERO));
         });
     }
 }
@@ -168,11 +257,52 @@ fn alike(a: &Cell, b: &Cell) -> bool {
     a.normal.dot(b.normal) >= LEAST_COSINE && above <= MOST_STEEP * d.length()
 }
 
+/// What one element caught beside what is told of it.
+struct Detail {
+    /// Irradiance by what it caught alone (lux).
+    raw: Vec3,
+    /// That above what is told.
+    difference: Vec3,
+    area: f64,
+    /// Area times squared difference by noise alone while nothing is told, as the samples show it; none shows in what
+    /// caught nothing.
+    seen: f64,
+    /// The same as it is where so much light falls.
+    expected: f64,
+    /// The same by a few samples that chance brought together.
+    chance: f64,
+    /// Share of the first difference that is left.
+    left: f32,
+}
+
+impl Detail {
+    /// Tells as much of the differences of some elements as is more than noise.
+    fn tell(details: &mut [Detail]) {
+        let square: f64 = details.iter().map(|d| d.area * f64::from(d.difference.length_squared())).sum();
+        let noise = |of: fn(&Detail) -> f64| details.iter().map(|d| of(d) * f64::from(d.left).powi(2)).sum::<f64>();
+        let chance = details.iter().map(|d| d.chance).fold(0.0, f64::max);
+        let noise = noise(|d| d.seen).max(noise(|d| d.expected)) + chance;
+        let doubt = 1.0 + DETAIL_DOUBT / (details.len() as f64).sqrt();
+        if square <= doubt * noise {
+            return;
+        }
+        let keep = (doubt * noise / square) as f32;
+        details.iter_mut().for_each(|d| (d.difference, d.left) = (d.difference * keep, d.left * keep));
+    }
+}
+
+impl Plane {
+    fn at(&self, d: Vec3) -> Vec3 {
+        (self.value + Vec3::from(self.gradient.map(|g| g.dot(d)))).max(Vec3::ZERO)
+    }
+}
+
 impl Cell {
-    fn new(tree: &SurfaceTree, elements: &[u32], flux: &ElementFlux) -> Cell {
-        let elements = || elements.iter().map(|&k| (&tree.elements[k as usize], &flux[k as usize]));
+    fn new(tree: &SurfaceTree, elements: &[u32], caught: &Caught, dispersion: &[f32]) -> Cell {
+        let variance = elements.iter().map(|&k| caught.variance[k as usize] * f64::from(dispersion[k as usize])).sum();
+        let parts = || elements.iter().map(|&k| (&tree.elements[k as usize], &caught.flux[k as usize]));
         let (mut area, mut centre, mut normal) = (0.0, DVec3::ZERO, DVec3::ZERO);
-        for (e, _) in elements() {
+        for (e, _) in parts() {
             let a = f64::from(e.area);
             area += a;
             centre += a * e.position.as_dvec3();
@@ -180,7 +310,7 @@ impl Cell {
         }
         let centre = (centre / area).as_vec3();
         let (mut covariance, mut total, mut moment) = (DMat3::ZERO, DVec3::ZERO, [DVec3::ZERO; 3]);
-        for (e, f) in elements() {
+        for (e, f) in parts() {
             let (d, f) = ((e.position - centre).as_dvec3(), DVec3::from(f.map(f64::from)));
             // A texel is a small square itself.
             let own = DMat3::from_diagonal(DVec3::splat(f64::from(e.area) / 12.0));
@@ -193,11 +323,13 @@ impl Cell {
         Cell {
             area,
             centre,
-            middle: *middle_of(elements().map(|(e, _)| e)),
+            middle: *middle_of(parts().map(|(e, _)| e)),
             normal: normal.as_vec3().normalize_or_zero(),
             side: (6.0 * trace).sqrt() as f32,
+            radius: parts().map(|(e, _)| e.position.distance(centre)).fold(0.0, f32::max),
             covariance,
             flux: total,
+            variance,
             moment,
         }
     }
@@ -208,13 +340,13 @@ fn outer(a: DVec3, b: DVec3) -> DMat3 {
 }
 
 /// Weighted least squares over the cell and those around it.
-fn fit(cells: &[Cell], i: usize, around: &[u32], noise: f64) -> Plane {
+fn fit(cells: &[Cell], i: usize, around: &[u32]) -> Plane {
     let own = &cells[i];
     let reach = FIT_REACH * own.side;
     // Sums of w A, w A x, w A x x, w F, w F x.
     let (mut area, mut first, mut second) = (0.0, DVec3::ZERO, DMat3::ZERO);
     let (mut flux, mut moment) = (DVec3::ZERO, [DVec3::ZERO; 3]);
-    let mut squares = 0.0;
+    let mut variance = 0.0;
     for &j in around {
         let c = &cells[j as usize];
         let d = c.centre - own.centre;
@@ -224,7 +356,7 @@ fn fit(cells: &[Cell], i: usize, around: &[u32], noise: f64) -> Plane {
         }
         let d = d.as_dvec3();
         area += w * c.area;
-        squares += w * w * c.area;
+        variance += w * w * c.variance;
         first += w * c.area * d;
         second += (c.covariance + outer(d, d)) * (w * c.area);
         flux += w * c.flux;
@@ -242,38 +374,11 @@ fn fit(cells: &[Cell], i: usize, around: &[u32], noise: f64) -> Plane {
     // Shrunk by the share of its own explained square that noise explains (James and Stein), two directions for
     // each channel.
     let explained: f64 = (0..3).map(|k| slope[k].dot(scatter * slope[k])).sum::<f64>() * area;
-    let by_noise = 2.0 * noise * mean.element_sum() / 3.0 * squares / area;
+    let by_noise = 2.0 * variance / area;
     let keep = if explained > 0.0 { (1.0 - by_noise / explained).max(0.0) } else { 0.0 };
     let slope = slope.map(|s| s * keep);
     let value: DVec3 = DVec3::from(std::array::from_fn::<f64, 3, _>(|k| mean[k] - slope[k].dot(middle)));
     Plane { value: value.as_vec3(), gradient: slope.map(|s| s.as_vec3()) }
-}
-
-/// The planes around `at`, a point of cell `i`, by a partition of unity.
-fn blend_planes(cells: &[Cell], planes: &[Plane], i: usize, around: &[u32], at: Vec3) -> Vec3 {
-    blend(cells, i, around, at, |j, d| {
-        let plane = &planes[j];
-        (plane.value + Vec3::from(plane.gradient.map(|g| g.dot(d)))).max(Vec3::ZERO)
-    })
-}
-
-/// What `value(j, at - centre)` gives for the cells j around `at`, a point of cell `i`, by a partition of unity.
-fn blend(cells: &[Cell], i: usize, around: &[u32], at: Vec3, value: impl Fn(usize, Vec3) -> Vec3) -> Vec3 {
-    let (mut sum, mut weight) = (Vec3::ZERO, 0.0);
-    for &j in around {
-        let cell = &cells[j as usize];
-        let d = at - cell.centre;
-        let mut w = 1.0 - d.length() / (BLEND_REACH * cell.side);
-        if j as usize == i {
-            w = w.max(0.01);
-        } else if w <= 0.0 {
-            continue;
-        }
-        w *= w;
-        sum += w * value(j as usize, d);
-        weight += w;
-    }
-    sum / weight
 }
 
 /// Finds the cells around one: a binary tree of boxes over them in their order, which follows the surface.

@@ -122,7 +122,7 @@ pub struct BakeArgs {
     /// Mean over a texel's open part, or over all of it; `fit` is not built yet.
     #[arg(long, default_value = "open", value_parser = ["open", "mean", "fit"], help_heading = "Maps")]
     texel_value: String,
-    /// Smooth indirect light over cells as large as its noise asks for, or leave every texel its own photons.
+    /// Smooth light of photons and of the sky over cells as large as its noise asks for, or leave every texel its own.
     #[arg(long, default_value = "cells", value_parser = ["cells", "none"], help_heading = "Maps")]
     smoothing: String,
     /// What the maps hold: E / pi [cd/m2], or E [lux].

@@ -99,6 +99,8 @@ enum Seen {
 pub struct DirectSample {
     /// On the shading normal, of the lights whose direct light is stored.
     pub stored: Vec3,
+    /// Of it what comes from the soft part of the sky: it has no hard shadows.
+    pub soft: Vec3,
     /// On the geometric normal, of all lights: what is reflected.
     pub transported: Vec3,
 }
@@ -336,7 +338,11 @@ fn add_sky(
     }
     *rays += 1;
     let passed = visibility.transmittance(&Ray { origin: at.origin, direction: w, t_max: f32::INFINITY });
-    out.add(radiance * passed * weight, cosines, true);
+    let light = radiance * passed * weight;
+    out.add(light, cosines, true);
+    if sky.is_soft(radiance) {
+        out.soft += light * cosines.1;
+    }
 }
 
 /// Light of one point of a triangle. Points are drawn in proportion to what each of them sends, so that the sample

@@ -65,6 +65,8 @@ pub struct LitPoint {
     pub at: Receiver,
     /// One unbiased sample of the irradiance that is stored (lux).
     pub stored: Vec3,
+    /// Of it what is soft: without hard shadows.
+    pub soft: Vec3,
     /// One of the radiosity rho E that it is reflected with (lux).
     pub sent: Vec3,
 }
@@ -98,7 +100,7 @@ impl TexelLight<'_> {
         let world = self.visibility.world;
         let light = self.emitters.sample(&at, self.visibility, u, more, rays);
         if !light.stored.is_finite() || !light.transported.is_finite() {
-            return LitPoint { at, stored: Vec3::ZERO, sent: Vec3::ZERO };
+            return LitPoint { at, stored: Vec3::ZERO, soft: Vec3::ZERO, sent: Vec3::ZERO };
         }
         let unseen = world.flags[at.triangle as usize].has(SurfaceFlags::UNSEEN);
         let sent = if light.transported == Vec3::ZERO || unseen {
@@ -107,7 +109,7 @@ impl TexelLight<'_> {
             let surface = world.surface(at.triangle, at.uv);
             surface.albedo * surface.alpha * light.transported
         };
-        LitPoint { at, stored: light.stored, sent }
+        LitPoint { at, stored: light.stored, soft: light.soft, sent }
     }
 }
 
@@ -117,6 +119,10 @@ struct HalfTexel {
     samples: u32,
     /// Stored irradiance.
     stored: Vec3,
+    /// Its soft part.
+    soft: Vec3,
+    /// Sum of the squares of that, mean over the channels.
+    soft_squares: f32,
     /// Largest channel of rho E.
     exitance: f32,
     /// Sum of the squares of both: of what is stored, the mean over the channels.
@@ -125,8 +131,15 @@ struct HalfTexel {
 }
 
 impl HalfTexel {
-    const EMPTY: HalfTexel =
-        HalfTexel { samples: 0, stored: Vec3::ZERO, exitance: 0.0, squares: 0.0, slots: [NO_SLOT; START_SLOTS] };
+    const EMPTY: HalfTexel = HalfTexel {
+        samples: 0,
+        stored: Vec3::ZERO,
+        soft: Vec3::ZERO,
+        soft_squares: 0.0,
+        exitance: 0.0,
+        squares: 0.0,
+        slots: [NO_SLOT; START_SLOTS],
+    };
 
     /// Variance of one sample, of what is stored and of what is sent out.
     fn variance(&self) -> f64 {
@@ -154,8 +167,13 @@ impl Direct {
     pub const BYTES_PER_TEXEL: usize = 2 * size_of::<HalfTexel>();
 
     /// Samples of all texels and both halves so far.
-    pub fn samples(&self) -> u64 {
+    pub fn all_samples(&self) -> u64 {
         self.samples
+    }
+
+    /// Samples of one half of a texel.
+    pub fn samples(&self, half: usize, texel: usize) -> u32 {
+        self.halves[half][texel].samples
     }
 
     /// Shadow rays so far, and those that looked for covers.
@@ -167,6 +185,25 @@ impl Direct {
     pub fn stored(&self, half: usize, texel: usize) -> Vec3 {
         let t = &self.halves[half][texel];
         t.stored / t.samples.max(1) as f32
+    }
+
+    /// What of it is soft: light of the sky, without that of a sun in its image.
+    pub fn soft(&self, half: usize, texel: usize) -> Vec3 {
+        let t = &self.halves[half][texel];
+        t.soft / t.samples.max(1) as f32
+    }
+
+    /// Variance of [`soft`](Self::soft), mean over the channels: as its samples show it, and at least that of a sky that
+    /// all of them saw by chance (Laplace's rule of succession).
+    pub fn soft_variance(&self, half: usize, texel: usize) -> (f64, f64) {
+        let t = &self.halves[half][texel];
+        let n = f64::from(t.samples);
+        if n < 2.0 {
+            return (0.0, 0.0);
+        }
+        let square = f64::from(t.soft.length_squared()) / (3.0 * n * n);
+        let shown = ((f64::from(t.soft_squares) / n - square) / (n - 1.0)).max(0.0);
+        (shown, shown.max(square / (n * (n + 2.0))))
     }
 
     /// Mean over the texel's samples of the largest channel of rho E (lux), one half.
@@ -218,13 +255,13 @@ impl Direct {
     fn wishes(&self, half: usize, texels: &Texels, importance: &impl Fn(usize) -> f32) -> Vec<f64> {
         let variance: Vec<f64> = self.halves[half].iter().map(HalfTexel::variance).collect();
         let around = around(&variance);
-        let weight = |i: usize| f64::from(texels.texels[i].area) * f64::from(importance(i));
-        let wanted: Vec<f64> = around.iter().enumerate().map(|(i, v)| weight(i) * v).collect();
+        let wanted: Vec<f64> = around.iter().zip(&texels.texels).map(|(v, t)| f64::from(t.area) * v).collect();
         let mean = wanted.iter().sum::<f64>() / wanted.len().max(1) as f64;
         if mean <= 0.0 {
             return vec![1.0; wanted.len()];
         }
-        wanted.iter().map(|v| (v / mean + LEAST_SHARE).sqrt()).collect()
+        let wish = |(i, v): (usize, &f64)| (f64::from(importance(i)) * (v / mean + LEAST_SHARE)).sqrt();
+        wanted.iter().enumerate().map(wish).collect()
     }
 
     /// Takes `more(half, texel)` samples in each half of each texel. Sample k of a texel is point k of a scrambled
@@ -314,6 +351,8 @@ impl HalfTexel {
             let mut more = Stream::new(hash_mix(key, u64::from(k)));
             let found = light.light(at, |d| u(d + 2), &mut more, rays);
             self.stored += found.stored;
+            self.soft += found.soft;
+            self.soft_squares += found.soft.length_squared() / 3.0;
             self.squares += found.stored.length_squared() / 3.0;
             let Some(start) = StartSlot::new(&found) else { continue };
             self.exitance += start.largest;

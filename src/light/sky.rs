@@ -5,6 +5,9 @@ use glam::{Vec2, Vec3};
 use std::f64::consts::PI;
 use std::sync::Arc;
 
+/// Sky brighter than this many times its mean, as the sun in it, casts hard shadows.
+const HARD: f64 = 50.0;
+
 /// The sky, ready to be sampled.
 #[derive(Debug, Clone)]
 pub enum SkySampler {
@@ -56,6 +59,14 @@ impl SkySampler {
         match self {
             SkySampler::Constant(l) => *l,
             SkySampler::Image(image) => image.radiance[image.pixel(w)],
+        }
+    }
+
+    /// Whether sky of this radiance casts soft shadows.
+    pub fn is_soft(&self, radiance: Vec3) -> bool {
+        match self {
+            SkySampler::Constant(_) => true,
+            SkySampler::Image(image) => brightness(radiance) <= HARD * image.total / (4.0 * PI),
         }
     }
 }

@@ -7,6 +7,7 @@
 //! rounds from sums in fixed order; only a time limit can make two runs differ.
 
 mod estimate;
+mod light;
 
 use crate::accuracy::{
     Halves, MeshError, Missed, Spent, TexelError, TexelWeights, cheapest_growth, gather_rays, plan_meshes,
@@ -46,6 +47,9 @@ const MOST_GROWTH: f64 = 5.0;
 /// light then does not run ahead of them.
 const MOST_REDUCTION: f64 = 2.6;
 
+/// ... but that of one mesh by this many times as much.
+const MOST_MESH_GROWTH: f64 = 4.0;
+
 /// Meshes gather once the error over all is below this many times its target.
 const GATHER_FROM: f64 = 1.5;
 
@@ -53,7 +57,7 @@ const GATHER_FROM: f64 = 1.5;
 const SAMPLE_COST: f64 = 2.0;
 
 /// A mesh's direct light counts at most this much more than its area says.
-const MOST_IMPORTANCE: f32 = 1e6;
+const MOST_IMPORTANCE: f32 = 1e12;
 
 /// What rays meet and what shines: the inputs of the solution.
 #[derive(Debug, Clone, Copy)]
@@ -82,6 +86,25 @@ impl<'a> LightPath<'a> {
     }
 }
 
+/// Squared errors by what lowers them.
+#[derive(Debug, Clone, Copy, Default)]
+struct Squares {
+    /// Of direct light, texel by texel: direct samples.
+    apart: f64,
+    /// Of direct light that is smoothed over cells: direct samples, but more slowly.
+    soft: f64,
+    /// Of indirect light: photons.
+    indirect: f64,
+}
+
+impl std::ops::Add for Squares {
+    type Output = Squares;
+
+    fn add(self, o: Squares) -> Squares {
+        Squares { apart: self.apart + o.apart, soft: self.soft + o.soft, indirect: self.indirect + o.indirect }
+    }
+}
+
 /// Irradiance of all texels with its error.
 #[derive(Debug)]
 pub struct Solution {
@@ -101,8 +124,8 @@ pub struct Solution {
     pub cells: [usize; 2],
     /// What the cells' planes add to or take from the light that was caught, as a share of it.
     pub energy_change: f64,
-    /// Squared errors that direct samples, and that photons would lower.
-    squares: (f64, f64),
+    /// Squared errors by what lowers them.
+    squares: Squares,
     /// Meshes above their target.
     missed: Vec<Missed>,
     /// Which limit ended it before the targets were met.
@@ -233,7 +256,7 @@ impl Solver<'_, '_> {
             let rays = self.rays();
             let forecast_rays = rays as f64 + wish.as_ref().map_or(0.0, |r| self.cost(r));
             self.history.push(HistoryEntry {
-                direct_samples: self.direct.samples(),
+                direct_samples: self.direct.all_samples(),
                 photons: self.photons * 2,
                 rays,
                 percent: solution.error.percent,
@@ -276,7 +299,7 @@ impl Solver<'_, '_> {
             let started = Instant::now();
             let most = MOST_SAMPLES_AT_ONCE.max(MOST_PER_TEXEL_AT_ONCE * texels.texels.len() as u64);
             let budget = left.min(most);
-            if self.direct.samples() == 0 {
+            if self.direct.all_samples() == 0 {
                 self.direct.extend(&|_, _| FIRST_SAMPLES, self.options.seed, &light);
                 left = 0;
             } else {
@@ -367,7 +390,7 @@ impl Solver<'_, '_> {
 
     /// Rays that a round takes.
     fn cost(&self, round: &Round) -> f64 {
-        let per_sample = self.direct.rays().max(1) as f64 / self.direct.samples().max(1) as f64;
+        let per_sample = self.direct.rays().max(1) as f64 / self.direct.all_samples().max(1) as f64;
         let per_photon = self.ledger.rays.max(1) as f64 / self.photons.max(1) as f64;
         let gather: f64 = round.gather.iter().map(|&(i, n)| gather_rays(f64::from(n), self.texels_of[i])).sum();
         per_sample * round.samples as f64 + per_photon * round.photons as f64 + gather
@@ -380,10 +403,11 @@ impl Solver<'_, '_> {
         if s.error.high <= target && s.mesh_percent <= mesh_target {
             return None;
         }
-        let samples = self.direct.samples() as f64;
+        let samples = self.direct.all_samples() as f64;
         let spent = Spent {
-            direct: s.squares.0,
-            indirect: s.squares.1,
+            direct: s.squares.apart,
+            soft: s.squares.soft,
+            indirect: s.squares.indirect,
             direct_cost: SAMPLE_COST * samples,
             photon_cost: self.ledger.rays.max(1) as f64,
         };
@@ -396,13 +420,14 @@ impl Solver<'_, '_> {
             if s.error.high <= GATHER_FROM * target {
                 round.gather = plan.gather;
             }
+            let mut growth = vec![0.0; self.importance.len()];
+            plan.direct.iter().for_each(|&(i, factor)| growth[i] = factor.min(most * MOST_MESH_GROWTH) - 1.0);
+            let of = |(texel, &i): (usize, &u32)| {
+                growth[i as usize] * f64::from(self.direct.samples(0, texel) + self.direct.samples(1, texel))
+            };
+            let more: f64 = self.weights.instance.iter().enumerate().map(of).sum();
+            round.samples = round.samples.saturating_add(more.ceil().min(1e18) as u64);
             round.direct = plan.direct;
-            // As if samples were spread evenly: those of a mesh grow by its factor.
-            let per_texel = samples / self.path.texels.texels.len().max(1) as f64;
-            for &(instance, factor) in &round.direct {
-                let more = per_texel * self.texels_of[instance] as f64 * (factor.min(most) - 1.0);
-                round.samples = round.samples.saturating_add(more.ceil().min(1e18) as u64);
-            }
         }
         if self.flux.is_some() {
             round.photons = (self.photons as f64 * (y - 1.0)).ceil().min(1e18) as u64;
@@ -413,7 +438,7 @@ impl Solver<'_, '_> {
     /// `wish`, bounded in growth; `None` where no work is left that would help. Notes which meshes gather.
     fn bounded(&mut self, mut wish: Round) -> Option<Round> {
         let most = |n: u64| (n as f64 * (MOST_GROWTH - 1.0)) as u64;
-        wish.samples = wish.samples.min(most(self.direct.samples()));
+        wish.samples = wish.samples.min(most(self.direct.all_samples()));
         wish.photons = wish.photons.min(most(self.photons)).next_multiple_of(1 << LEAST_NET_BITS);
         // The cheapest meshes first, for about as many rays as the rest of the round may take; one at least where there
         // is nothing else to do.
@@ -432,7 +457,9 @@ impl Solver<'_, '_> {
         wish.gather.iter().for_each(|&(instance, rays)| self.gathered[instance] = rays);
         for &(instance, factor) in &wish.direct {
             let importance = &mut self.importance[instance];
-            *importance = (*importance * factor.min(MOST_REDUCTION) as f32).min(MOST_IMPORTANCE);
+            // Samples go with its square root.
+            let growth = factor.min(MOST_REDUCTION * MOST_MESH_GROWTH) as f32;
+            *importance = (*importance * growth * growth).min(MOST_IMPORTANCE);
         }
         (wish.samples > 0 || wish.photons > 0 || !wish.gather.is_empty()).then_some(wish)
     }

@@ -1,0 +1,238 @@
+//! The light of every texel as it stands after a round: direct light from samples, that of the sky and of photons
+//! smoothed over cells, or gathered.
+
+use super::{LightPath, Solver};
+use crate::accuracy::{GATHER_AGAIN, Halves};
+use crate::cell::{Bias, Caught, Element, Gather, NO_CELL, Node, Reconstruction, Samples, SurfaceTree, bias, refined};
+use crate::error::BakeError;
+use crate::options::{Smoothing, TexelValue};
+use glam::Vec3;
+use rayon::prelude::*;
+
+/// Texels that gather between two looks at the clock.
+const GATHER_CHUNK: usize = 4096;
+
+impl Solver<'_, '_> {
+    /// Direct light by the samples of each texel alone, without that of the soft sky where it is smoothed.
+    pub(super) fn direct_halves(&self, smoothed: bool) -> Halves {
+        let (direct, open) = (&self.direct, self.path.open);
+        let whole = self.options.texel_value == TexelValue::Mean;
+        let light = |h, i| direct.stored(h, i) - if smoothed { direct.soft(h, i) } else { Vec3::ZERO };
+        let half = |h| {
+            (0..open.len())
+                .into_par_iter()
+                .map(|i| light(h, i).max(Vec3::ZERO) * if whole { 1.0 } else { per_open(open[i]) })
+                .collect()
+        };
+        Halves { odd: half(0), even: half(1) }
+    }
+
+    /// Light of the soft sky, smoothed over cells as if photons had brought it; `None` where it has no noise.
+    pub(super) fn soft_sky(&self) -> Option<Smooth> {
+        let LightPath { tree, texels, visibility, .. } = self.path;
+        if self.options.smoothing == Smoothing::None {
+            return None;
+        }
+        let direct = &self.direct;
+        let area = |e: &Element| texels.texels[e.texel as usize].area;
+        let caught = [0, 1].map(|h| {
+            let flux = |e: &Element| (direct.soft(h, e.texel as usize) * area(e)).to_array();
+            let variance = |e: &Element| {
+                let (shown, likely) = direct.soft_variance(h, e.texel as usize);
+                let square = f64::from(area(e)).powi(2);
+                (shown * square, likely * square)
+            };
+            let (scatter, variance) = tree.elements.par_iter().map(variance).unzip();
+            let grain = |e: &Element| area(e) / direct.samples(h, e.texel as usize).max(1) as f32;
+            let elements = tree.elements.par_iter();
+            Caught {
+                flux: elements.clone().map(flux).collect(),
+                variance,
+                samples: Some(Samples { scatter, grain: elements.map(grain).collect() }),
+            }
+        });
+        let noisy = caught[0].flux != caught[1].flux;
+        noisy.then(|| {
+            let found = Reconstruction::new(tree, [&caught[0], &caught[1]], visibility.accel);
+            Smooth { caught, found }
+        })
+    }
+
+    /// All light that is smoothed, with that of the photons where nothing is gathered.
+    pub(super) fn smoothed(&self, caught: &[Caught; 2], found: &Reconstruction, sky: Option<&Smooth>) -> Smoothed {
+        let elements = &self.path.tree.elements;
+        let by_photons = |k: usize| {
+            let instance = self.weights.instance[elements[k].texel as usize];
+            if self.gathered_at[instance as usize].0 > 0 { 0.0 } else { 1.0 }
+        };
+        let both = |k: usize, photons: Vec3, sky: Option<Vec3>| photons * by_photons(k) + sky.unwrap_or_default();
+        let values = [0, 1].map(|h| {
+            let of = |k| both(k, found.values[h][k], sky.map(|s| s.found.values[h][k]));
+            (0..elements.len()).into_par_iter().map(of).collect()
+        });
+        let caught = [0, 1].map(|h| {
+            let of = |k: usize| both(k, caught[h].flux[k].into(), sky.map(|s| s.caught[h].flux[k].into())).to_array();
+            (0..elements.len()).into_par_iter().map(of).collect()
+        });
+        let blocks = sky.map_or_else(|| found.blocks.clone(), |s| refined(&found.blocks, &s.found.blocks));
+        Smoothed { values, caught, blocks }
+    }
+
+    /// Flux that each element caught, in two halves.
+    pub(super) fn caught(&self) -> [Caught; 2] {
+        let elements = &self.path.tree.elements;
+        let per_photon = self.flux.map_or(0.0, |f| f.unit / self.photons.max(1) as f64);
+        let [odd, even] = self.start_totals();
+        let photon = odd.max(even) / self.photons.max(1) as f64;
+        [0, 1].map(|h| {
+            let of = |texel: u32| self.bins.flux(h, texel as usize).map(|f| (f as f64 * per_photon) as f32);
+            let flux: Vec<[f32; 3]> = elements.par_iter().map(|e| of(e.texel)).collect();
+            let variance: Vec<f64> = flux.iter().map(|f| f64::from(f.iter().sum::<f32>()) / 3.0 * photon).collect();
+            Caught { flux, variance, samples: None }
+        })
+    }
+
+    /// Irradiance of the elements from what they caught.
+    pub(super) fn reconstruct(&self, caught: &[Caught; 2]) -> Reconstruction {
+        let LightPath { tree, visibility, .. } = self.path;
+        let caught = [&caught[0], &caught[1]];
+        match self.options.smoothing {
+            Smoothing::Cells => Reconstruction::new(tree, caught, visibility.accel),
+            Smoothing::None => Reconstruction::raw(tree, caught),
+        }
+    }
+
+    /// Replaces the indirect light of the meshes that gather it: of those that were to begin when time ran out,
+    /// none that is not done.
+    pub(super) fn gather(&mut self, found: &mut Reconstruction) -> Result<(), BakeError> {
+        let LightPath { tree, open, .. } = self.path;
+        let Some(starts) = self.starts.as_ref().filter(|_| self.gathered.iter().any(|&n| n > 0)) else { return Ok(()) };
+        // Gathered once, light stays as it is until more rays are asked for or the map it came from is much better.
+        let fresh: Vec<(usize, (u32, u64))> = (0..self.gathered.len())
+            .filter(|&i| self.gathered[i] > 0)
+            .map(|i| (i, (self.gathered[i], self.photons)))
+            .filter(|&(i, (rays, photons))| {
+                let (had, at) = self.gathered_at[i];
+                had != rays || photons >= GATHER_AGAIN * at
+            })
+            .collect();
+        let mut again = vec![false; self.gathered.len()];
+        fresh.iter().for_each(|f| again[f.0] = true);
+        let instance = |texel: u32| self.weights.instance[texel as usize] as usize;
+        let wanted: Vec<(u32, u32)> = tree
+            .elements
+            .iter()
+            .filter(|e| again[instance(e.texel)])
+            .map(|e| (e.texel, self.gathered[instance(e.texel)]))
+            .collect();
+        let indirect = [0, 1].map(|h| scattered(&tree.elements, &found.values[h], open.len(), Vec3::ZERO));
+        let blur = [0, 1].map(|h| scattered(&tree.elements, &found.sides[h], open.len(), 0.0));
+        let gather = Gather {
+            seed: self.options.seed,
+            light: self.path.light(false),
+            direct: &self.direct,
+            starts,
+            indirect: [&indirect[0], &indirect[1]],
+            blur: [&blur[0], &blur[1]],
+        };
+        let mut done = true;
+        for wanted in wanted.chunks(GATHER_CHUNK) {
+            if self.observer.cancelled() {
+                return Err(BakeError::Cancelled);
+            }
+            if self.out_of_time() {
+                done = false;
+                break;
+            }
+            let light = [0, 1].map(|h| gather.texels(h, wanted));
+            for (j, &(texel, _)) in wanted.iter().enumerate() {
+                self.kept.insert(texel, [light[0].0[j], light[1].0[j]]);
+            }
+            self.gather_rays += light[0].1 + light[1].1;
+        }
+        if done {
+            fresh.iter().for_each(|&(instance, state)| self.gathered_at[instance] = state);
+        }
+        let gathers = |e: &Element| self.gathered_at[instance(e.texel)].0 > 0;
+        for (k, e) in tree.elements.iter().enumerate().filter(|(_, e)| gathers(e)) {
+            let light = self.kept[&e.texel];
+            (0..2).for_each(|h| found.values[h][k] = light[h].light);
+            if let Some(cell) = found.cell_of.get_mut(k) {
+                *cell = NO_CELL;
+            }
+        }
+        Ok(())
+    }
+
+    /// Light of the texels in two halves from that of the elements.
+    pub(super) fn texel_halves(&self, found: &Reconstruction) -> Halves {
+        let LightPath { tree, open, .. } = self.path;
+        let whole = self.options.texel_value == TexelValue::Mean;
+        let [odd, even] = [0, 1].map(|h| {
+            let mut out = scattered(&tree.elements, &found.values[h], open.len(), Vec3::ZERO);
+            if whole {
+                out.iter_mut().zip(open).for_each(|(e, open)| *e *= *open);
+            }
+            out
+        });
+        Halves { odd, even }
+    }
+}
+
+/// Light of the soft sky.
+pub(super) struct Smooth {
+    caught: [Caught; 2],
+    pub(super) found: Reconstruction,
+}
+
+/// Light that is smoothed over cells: in two halves the irradiance (lux) and the flux that was caught of each element.
+pub(super) struct Smoothed {
+    values: [Vec<Vec3>; 2],
+    caught: [Vec<[f32; 3]>; 2],
+    /// Nodes with no border of any cell inside.
+    pub(super) blocks: Vec<Node>,
+}
+
+impl Smoothed {
+    pub(super) fn bias(
+        &self,
+        tree: &SurfaceTree,
+        instances: usize,
+        depth: u32,
+        weight: impl Fn(usize) -> (f64, u32) + Sync,
+    ) -> Vec<Bias> {
+        let caught = [&self.caught[0], &self.caught[1]];
+        bias(
+            tree,
+            caught.map(Vec::as_slice),
+            [&self.values[0], &self.values[1]],
+            &self.blocks,
+            instances,
+            depth,
+            weight,
+        )
+    }
+
+    /// What smoothing adds to or takes from the light that was caught, as a share of it.
+    pub(super) fn energy_change(&self, tree: &SurfaceTree) -> f64 {
+        let flux = |values: &Vec<Vec3>| -> f64 {
+            let of = |(e, v): (&Element, &Vec3)| f64::from(e.area) * f64::from(v.element_sum());
+            tree.elements.iter().zip(values).map(of).sum()
+        };
+        let kept: f64 = self.values.iter().map(flux).sum();
+        let all: f64 = self.caught.iter().flatten().flatten().map(|&f| f64::from(f)).sum();
+        if all > 0.0 { kept / all - 1.0 } else { 0.0 }
+    }
+}
+
+/// Factor from flux over the whole area to flux over the open area; 0 where nothing is open.
+fn per_open(open: f32) -> f32 {
+    if open > 0.0 { 1.0 / open } else { 0.0 }
+}
+
+/// Values of elements at the places of their texels, `none` elsewhere.
+pub(super) fn scattered<T: Copy>(elements: &[Element], values: &[T], texels: usize, none: T) -> Vec<T> {
+    let mut out = vec![none; texels];
+    elements.iter().zip(values).for_each(|(e, v)| out[e.texel as usize] = *v);
+    out
+}
