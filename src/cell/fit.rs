@@ -151,15 +151,15 @@ impl Fitted<'_> {
     fn blend(&self, i: usize, value: impl Fn(usize, Vec3) -> Vec3) -> Vec<Vec3> {
         let own = &self.moments[i];
         // Side by side, for every element looks at all of them.
-        let near: Vec<(Vec3, f32, u32)> = self.around[i]
+        let near: Vec<(Vec3, f32, f32, u32)> = self.around[i]
             .iter()
             .map(|&j| (&self.moments[j as usize], j))
-            .map(|(c, j)| (c.centre, BLEND_REACH * c.side, j))
-            .filter(|&(centre, reach, j)| j as usize == i || centre.distance(own.centre) < reach + own.radius)
+            .map(|(c, j)| (c.centre, BLEND_REACH * c.side, if j as usize == i { 1.0 } else { c.fill() }, j))
+            .filter(|&(centre, reach, _, j)| j as usize == i || centre.distance(own.centre) < reach + own.radius)
             .collect();
         let blended = |e: &Element| {
             let (mut sum, mut weight) = (Vec3::ZERO, 0.0);
-            for &(centre, reach, j) in &near {
+            for &(centre, reach, fill, j) in &near {
                 let d = e.position - centre;
                 let square = d.length_squared();
                 if square >= reach * reach && j as usize != i {
@@ -169,7 +169,7 @@ impl Fitted<'_> {
                 if j as usize == i {
                     w = w.max(0.01);
                 }
-                w *= w;
+                w *= w * fill;
                 sum += w * value(j as usize, d);
                 weight += w;
             }
@@ -298,6 +298,11 @@ impl Plane {
 }
 
 impl Cell {
+    /// How much of the square of its side it fills: a strip along a wall knows nothing of the floor around its middle.
+    fn fill(&self) -> f32 {
+        (self.area as f32 / (self.side * self.side)).min(1.0)
+    }
+
     fn new(tree: &SurfaceTree, elements: &[u32], caught: &Caught, dispersion: &[f32]) -> Cell {
         let variance = elements.iter().map(|&k| caught.variance[k as usize] * f64::from(dispersion[k as usize])).sum();
         let parts = || elements.iter().map(|&k| (&tree.elements[k as usize], &caught.flux[k as usize]));
