@@ -95,6 +95,9 @@ const GATHER_SCATTER: f64 = 2.0;
 const GATHER_RANGE: std::ops::RangeInclusive<f64> = 16.0..=16384.0;
 const GATHER_GROWTH: f64 = 8.0;
 
+/// What costs less than this share of all photons is tried first.
+const CHEAP: f64 = 0.02;
+
 /// Light is gathered anew once there are so many times the photons.
 pub const GATHER_AGAIN: u64 = 4;
 
@@ -109,18 +112,21 @@ pub fn plan_meshes(missed: &[Missed], spared: usize, target: f64, photon_cost: f
         n => (f64::from(n) * (m.indirect / SHARE * 1.1).min(GATHER_GROWTH)).min(*GATHER_RANGE.end()).ceil(),
     };
     let cost = |m: &Missed| GATHER_RAY_COST * gather_rays(samples(m), m.texels);
+    let photons_for = |m: &Missed| libm::pow(m.indirect / SHARE, 1.0 / SMOOTH_FALL);
+    // What is gathered errs by its rays, or by the light that they look up. In a few texels this is hard to tell, and
+    // more rays cost next to nothing.
+    let hungry = |m: &&Missed| {
+        let by_rays = m.of_rays > 0.5 * m.indirect || cost(m) < CHEAP * photon_cost;
+        m.gathered > 0 && by_rays && samples(m) > f64::from(m.gathered)
+    };
+    let waits = |m: &&Missed| m.gathered > 0 && !hungry(m);
+    let price = |m: &Missed| if waits(&m) { photon_cost * photons_for(m).max(GATHER_AGAIN as f64) } else { cost(m) };
     let mut meshes: Vec<&Missed> = missed.iter().collect();
-    meshes.sort_by(|a, b| cost(b).total_cmp(&cost(a)).then(a.instance.cmp(&b.instance)));
+    meshes.sort_by(|a, b| price(b).total_cmp(&price(a)).then(a.instance.cmp(&b.instance)));
     let meshes = &meshes[spared.min(meshes.len())..];
     let dim = || meshes.iter().copied().filter(|m| m.indirect > SHARE);
-    let photons_for = |m: &Missed| libm::pow(m.indirect / SHARE, 1.0 / SMOOTH_FALL);
 
-    // What is gathered errs by its rays, or by the light that they look up.
-    let hungry = |m: &&Missed| m.gathered > 0 && m.of_rays > 0.5 * m.indirect && samples(m) > f64::from(m.gathered);
-    let least = dim()
-        .filter(|m| m.gathered > 0 && !hungry(m))
-        .map(|m| photons_for(m).max(GATHER_AGAIN as f64))
-        .fold(1.0, f64::max);
+    let least = dim().filter(waits).map(|m| photons_for(m).max(GATHER_AGAIN as f64)).fold(1.0, f64::max);
 
     // Photon growth that each of the others would need, the largest first: those above a line gather, the rest
     // wait for photons to grow up to it.
@@ -192,7 +198,7 @@ mod tests {
         assert_eq!(plan.gather, [(0, (89.0f64 * 2.0 / 0.5 * 1.1).ceil() as u32)]);
         assert_eq!(plan.photons, 1.0);
         // Where they are not, what they look up must get better.
-        let plan = plan_meshes(&[Missed { of_rays: 0.3, ..again }], 0, 0.15, 1e7);
+        let plan = plan_meshes(&[Missed { of_rays: 0.3, texels: 3000, ..again }], 0, 0.15, 1e7);
         assert!(plan.gather.is_empty() && plan.photons >= GATHER_AGAIN as f64, "{plan:?}");
         // ... and where no more are allowed, likewise.
         let full = Missed { gathered: *GATHER_RANGE.end() as u32, ..again };
