@@ -169,7 +169,7 @@ impl Fitted<'_> {
                 if j as usize == i {
                     w = w.max(0.01);
                 }
-                w *= w * fill;
+                w = w * w * fill;
                 sum += w * value(j as usize, d);
                 weight += w;
             }
