@@ -2,7 +2,7 @@
 
 use super::Atlas;
 use crate::error::BakeError;
-use crate::scene::Scene;
+use crate::scene::{Scene, TriangleRef};
 
 /// Bytes per cell of a page: the table from cells to texels, of both sides, and the finished maps.
 const BYTES_PER_CELL: u64 = 8 + 60;
@@ -10,14 +10,31 @@ const BYTES_PER_CELL: u64 = 8 + 60;
 /// Bytes per triangle: world corners, normals, grid placement, hierarchy.
 const BYTES_PER_TRIANGLE: u64 = 250;
 
-/// Bytes per covered cell: texel, pieces, both halves of direct light and photons, surface tree, estimates (measured).
-const BYTES_PER_TEXEL: u64 = 900;
+/// Bytes per texel of one side: pieces, both halves of direct light and photons, surface tree, estimates (measured: 650 to
+/// 750), and as many again for texels at the borders of charts, which count here by the part that is covered.
+const BYTES_PER_TEXEL: f64 = 900.0;
 
-/// Memory that a bake of `scene` on `atlas` takes at most (bytes), taking every cell as covered.
+/// Memory that a bake of `scene` on `atlas` takes (bytes).
 pub fn memory_bytes(scene: &Scene, atlas: &Atlas) -> u64 {
     let cells: u64 = atlas.pages.iter().map(|p| u64::from(p.width) * u64::from(p.height)).sum();
-    // Charts fill about two thirds of a page.
-    cells * BYTES_PER_CELL + cells * 2 / 3 * BYTES_PER_TEXEL + scene.triangle_count() as u64 * BYTES_PER_TRIANGLE
+    let texels = covered(scene, atlas).min(2.0 * cells as f64);
+    cells * BYTES_PER_CELL + (texels * BYTES_PER_TEXEL) as u64 + scene.triangle_count() as u64 * BYTES_PER_TRIANGLE
+}
+
+/// Covered area of the pages in texels; twice that of double-sided surfaces, each side of which has its own.
+fn covered(scene: &Scene, atlas: &Atlas) -> f64 {
+    let placed = (0u32..).zip(&scene.instances).filter(|(i, _)| atlas.placements[*i as usize].is_some());
+    placed
+        .flat_map(|(instance, i)| (0u32..).zip(&scene.meshes[i.mesh].primitives).map(move |p| (instance, p)))
+        .map(|(instance, (primitive, p))| {
+            let sides = if scene.materials[p.material].double_sided { 2.0 } else { 1.0 };
+            let area = |index: u32| {
+                let at = atlas.texel_coordinates(scene, TriangleRef { instance, primitive, index });
+                at.map_or(0.0, |(_, [a, b, c], _)| 0.5 * f64::from((b - a).perp_dot(c - a).abs()))
+            };
+            sides * (0..p.triangles.len() as u32).map(area).sum::<f64>()
+        })
+        .sum()
 }
 
 /// Refuses what would take more than `limit` bytes.
