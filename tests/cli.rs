@@ -202,7 +202,7 @@ fn input_that_cannot_be_read_returns_1_and_names_the_file() {
     }
     let message = expect(&evenlight(folder.path(), &["bake", "nothing.gltf", "-o", "out"]), 1);
     assert!(message.contains("error: "), "{message}");
-    assert_eq!(files(&folder.path().join("out")), [""; 0], "nothing half-written");
+    assert!(!folder.path().join("out").exists(), "nothing half-written");
 }
 
 #[test]
@@ -231,7 +231,30 @@ fn results_that_cannot_be_written_return_1_and_leave_nothing_behind() {
     let message = expect(&bake(folder.path(), "cube.glb", &["--max-photons", "1000"]), 1);
     assert!(message.contains("lightmap.json"), "{message}");
     assert!(blocked.is_dir());
-    assert!(!files(&folder.path().join("out")).iter().any(|f| f.contains(".part")));
+    assert_eq!(files(&folder.path().join("out")), ["lightmap.json"]);
+}
+
+#[cfg(unix)]
+#[test]
+fn a_disk_that_fills_up_leaves_the_folder_as_it_was() {
+    let folder = temporary();
+    let out = folder.path().join("out");
+    expect(&bake(folder.path(), "cube.glb", &[]), 0);
+    let read = |name: &String| std::fs::read(out.join(name)).expect("a file");
+    let before: Vec<_> = files(&out).iter().map(read).collect();
+    let largest = before.iter().map(Vec::len).max().expect("files");
+
+    // The largest file does not fit any more; another seed would change the others.
+    let command = format!(
+        "trap '' XFSZ; ulimit -f {}; exec '{}' bake '{}' -o out --max-texture 64 --seed 7",
+        (largest - 1) / 1024,
+        env!("CARGO_BIN_EXE_evenlight"),
+        fixture("cube.glb").display(),
+    );
+    let shell = Command::new("bash").current_dir(folder.path()).args(["-c", &command]).output().expect("bash");
+    let message = expect(&shell, 1);
+    assert!(message.contains("cannot write"), "{message}");
+    assert_eq!(files(&out).iter().map(read).collect::<Vec<_>>(), before);
 }
 
 #[test]

@@ -6,7 +6,7 @@ use evenlight::output::glb::{self, GlbOptions};
 use evenlight::output::lightmap_exr::{self, ExrSettings};
 use evenlight::output::manifest::{Manifest, ManifestInputs};
 use evenlight::output::words::seconds;
-use evenlight::output::{preview, report_html, write_atomically};
+use evenlight::output::{Staging, preview, report_html, write_atomically};
 use evenlight::report::Report;
 use evenlight::scene::{Camera, Projection, Scene};
 use evenlight::{Bake, BakeError, BakeOptions, bake};
@@ -22,9 +22,10 @@ const MOST_VIEWS: usize = 4;
 pub fn run(args: &BakeArgs) -> Result<u8, BakeError> {
     let options = args.options()?;
     let layers = args.layers()?;
-    let folder = &args.out;
-    std::fs::create_dir_all(folder).map_err(|source| BakeError::Io { path: folder.clone(), source })?;
     let scene = Scene::from_gltf(&args.scene[0])?;
+    // Made before the work, so that a folder which cannot be written is known now. Nothing appears in it
+    // until all files are complete.
+    let mut staging = Staging::new(&args.out)?;
 
     let mut terminal = Terminal::new();
     let result = bake(&scene, &options, &mut terminal);
@@ -40,19 +41,20 @@ pub fn run(args: &BakeArgs) -> Result<u8, BakeError> {
         seed: options.seed,
         texel_error_percent: Some(bake.report.texel_error_percent),
     };
-    write_maps(folder, &bake, &exr)?;
-    write_scene(folder, &scene, &mut bake, &options, args.removes_baked_lights())?;
+    write_maps(&mut staging, &bake, &exr)?;
+    write_scene(&mut staging, &scene, &mut bake, &options, args.removes_baked_lights())?;
     if !args.no_preview {
-        write_previews(folder, &scene, &bake)?;
+        write_previews(&mut staging, &scene, &bake)?;
     }
     if !args.no_html {
-        report_html::write(&folder.join("report.html"), &bake)?;
+        report_html::write(&staging.file("report.html")?, &bake)?;
     }
-    let report = to_json(&folder.join("report.json"), &bake.report)?;
+    let report = to_json(&staging.file("report.json")?, &bake.report)?;
+    staging.publish()?;
     if args.json {
         println!("{report}");
     }
-    eprintln!("{}", summary(&bake.report, folder));
+    eprintln!("{}", summary(&bake.report, &args.out));
     Ok(if bake.report.target_met { 0 } else { super::TARGET_MISSED })
 }
 
@@ -60,9 +62,9 @@ fn page_file(page: usize) -> String {
     format!("lightmap-{page}.exr")
 }
 
-fn write_maps(folder: &Path, bake: &Bake, settings: &ExrSettings) -> Result<(), BakeError> {
+fn write_maps(staging: &mut Staging, bake: &Bake, settings: &ExrSettings) -> Result<(), BakeError> {
     for (i, page) in bake.lightmap.pages.iter().enumerate() {
-        let info = lightmap_exr::write(&folder.join(page_file(i)), page, settings)?;
+        let info = lightmap_exr::write(&staging.file(page_file(i))?, page, settings)?;
         if info.float_for_range {
             eprintln!("note: {} is 32-bit float, since its values go up to {}", page_file(i), info.largest);
         }
@@ -74,7 +76,7 @@ fn write_maps(folder: &Path, bake: &Bake, settings: &ExrSettings) -> Result<(), 
 }
 
 fn write_scene(
-    folder: &Path,
+    staging: &mut Staging,
     scene: &Scene,
     bake: &mut Bake,
     options: &BakeOptions,
@@ -82,7 +84,7 @@ fn write_scene(
 ) -> Result<(), BakeError> {
     let lights = if remove_baked_lights { glb::fully_baked_lights(scene, options.lights) } else { Vec::new() };
     let glb = GlbOptions { remove_baked_lights: lights };
-    let info = glb::write(&folder.join("scene.glb"), &scene.source, scene, &bake.atlas, &glb)?;
+    let info = glb::write(&staging.file("scene.glb")?, &scene.source, scene, &bake.atlas, &glb)?;
     bake.report.warnings.extend(info.warnings);
 
     let mut error_percent = vec![None; scene.instances.len()];
@@ -93,12 +95,12 @@ fn write_scene(
         error_percent,
     };
     Manifest::new(scene, &bake.atlas, &bake.lightmap, options.quantity, &bake.lighting, options.lights, &inputs)
-        .write(&folder.join("lightmap.json"))
+        .write(&staging.file("lightmap.json")?)
 }
 
-fn write_previews(folder: &Path, scene: &Scene, bake: &Bake) -> Result<(), BakeError> {
+fn write_previews(staging: &mut Staging, scene: &Scene, bake: &Bake) -> Result<(), BakeError> {
     for (i, page) in bake.lightmap.pages.iter().enumerate() {
-        preview::page_image(page).write_png(&folder.join(format!("lightmap-{i}.png")))?;
+        preview::page_image(page).write_png(&staging.file(format!("lightmap-{i}.png"))?)?;
     }
     let closest = |ray: &evenlight::accel::Ray| bake.accel.closest(ray);
     let chosen;
@@ -112,7 +114,7 @@ fn write_previews(folder: &Path, scene: &Scene, bake: &Bake) -> Result<(), BakeE
         let settings = preview::RenderSettings { height: view_height(camera), ..Default::default() };
         let sky = bake.lighting.sky.as_ref();
         preview::render(&bake.world, &closest, &bake.atlas, &bake.lightmap, camera, sky, &settings)
-            .write_png(&folder.join(format!("view-{i}.png")))?;
+            .write_png(&staging.file(format!("view-{i}.png"))?)?;
     }
     Ok(())
 }

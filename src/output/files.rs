@@ -1,9 +1,77 @@
-//! Whole files or none.
+//! Whole files or none, and all files or none.
 
 use crate::error::BakeError;
 use std::fs;
 use std::io::Write;
-use std::path::Path;
+use std::path::{Path, PathBuf};
+
+/// New files of a folder, kept apart in a folder within it until all are complete. Dropped unpublished, they
+/// are removed, and what the folder held before is as it was.
+pub struct Staging {
+    folder: PathBuf,
+    /// The folder was not there before.
+    new: bool,
+    apart: PathBuf,
+    names: Vec<String>,
+}
+
+impl Staging {
+    /// Makes the folder where it does not exist yet, and tries whether it can be written to: better known
+    /// before hours of work than after.
+    ///
+    /// # Errors
+    /// [`BakeError::Io`] where a folder cannot be made.
+    pub fn new(folder: &Path) -> Result<Staging, BakeError> {
+        let apart = folder.join(format!(".part-{}", std::process::id()));
+        let staging = Staging { folder: folder.into(), new: !folder.exists(), apart, names: Vec::new() };
+        staging.make()?;
+        // A process that is killed at work leaves no trace.
+        let _ = fs::remove_dir(&staging.apart);
+        Ok(staging)
+    }
+
+    /// Where to write the file that will be `name` in the folder.
+    ///
+    /// # Errors
+    /// As [`Staging::new`].
+    pub fn file(&mut self, name: impl Into<String>) -> Result<PathBuf, BakeError> {
+        self.make()?;
+        let name = name.into();
+        let path = self.apart.join(&name);
+        self.names.push(name);
+        Ok(path)
+    }
+
+    /// Moves the files to their places, in the order in which they were named: who waits for the last of them
+    /// finds all.
+    ///
+    /// # Errors
+    /// [`BakeError::Io`] names the file whose place cannot be taken, by a folder of its name for one.
+    pub fn publish(self) -> Result<(), BakeError> {
+        if let Some(path) = self.names.iter().map(|n| self.folder.join(n)).find(|p| p.is_dir()) {
+            return Err(BakeError::Io { path, source: std::io::ErrorKind::IsADirectory.into() });
+        }
+        for name in &self.names {
+            let path = self.folder.join(name);
+            fs::rename(self.apart.join(name), &path).map_err(|source| BakeError::Io { path, source })?;
+        }
+        Ok(())
+    }
+
+    fn make(&self) -> Result<(), BakeError> {
+        fs::create_dir_all(&self.apart).map_err(|source| BakeError::Io { path: self.folder.clone(), source })
+    }
+}
+
+impl Drop for Staging {
+    fn drop(&mut self) {
+        let _ = fs::remove_dir_all(&self.apart);
+        if self.new {
+            // Fails, as it should, where something was published.
+            let _ = fs::remove_dir(&self.folder);
+        }
+    }
+}
 
 /// Writes `bytes` beside `path` and renames, so that `path` never holds half a file and an earlier version
 /// survives a failure.

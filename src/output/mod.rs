@@ -1,7 +1,7 @@
 //! 9. Files: lightmaps, the scene with its lightmap UVs, manifest, report, previews.
 //!
-//! In: a finished bake. Out: files, each written beside its final name and renamed when complete. The only
-//! place below the command line that writes.
+//! In: a finished bake. Out: files, each written beside its final name and renamed when complete; a staging
+//! does the same for all of a folder. The only place below the command line that writes.
 
 mod files;
 pub mod glb;
@@ -12,5 +12,5 @@ mod rects;
 pub mod report_html;
 pub mod words;
 
-pub use files::write_atomically;
+pub use files::{Staging, write_atomically};
 pub use rects::{NodeRect, node_rects};

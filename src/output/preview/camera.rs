@@ -22,6 +22,9 @@ const MAX_ESCAPED: f32 = 0.08;
 const MAX_BACKS: f32 = 0.2;
 /// Share of all directions in which a room has to have a wall.
 const MIN_CLOSED: f32 = 0.95;
+/// A room is worth a view from this mean distance on, as a share of the diagonal of the scene: smaller ones are
+/// hollows in walls and roofs.
+const MIN_DISTANCE: f32 = 0.08;
 
 /// Chooses a view that shows the scene. In closed rooms: of many points in free space and level directions
 /// the view with the largest mean logarithm of distance, seeing fronts only. In the open: the whole scene
@@ -38,7 +41,7 @@ pub fn choose_camera(world: &World, closest: &(impl Fn(&Ray) -> Option<Hit> + Sy
             let azimuth = (i % DIRECTIONS) as f32 / DIRECTIONS as f32 * TAU;
             let view = Frustum::level(low + (high - low) * place, azimuth, -0.08);
             let score = score_inside(world, closest, &view)?;
-            Some((score, i, view))
+            (score > (MIN_DISTANCE * (high - low).length()).ln()).then_some((score, i, view))
         })
         // The index decides between equals, so that the order of threads does not.
         .max_by(|a, b| a.0.total_cmp(&b.0).then(b.1.cmp(&a.1)))
