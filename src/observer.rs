@@ -11,6 +11,8 @@ pub enum Stage {
     Prepare,
     /// Direct light and photons.
     Light,
+    /// Checking the stated error by path tracing.
+    Audit,
     /// Making the maps.
     Finish,
 }

@@ -54,6 +54,8 @@ pub struct BakeOptions {
     pub only: Vec<String>,
     /// Nodes not to bake, by name. Default: none.
     pub exclude: Vec<String>,
+    /// How much of the map is path-traced to check the stated error. Default: automatic.
+    pub audit: Audits,
     /// Seed of every random stream. Default: 0.
     pub seed: u64,
     /// Worker threads; 0: one per core. The result does not depend on it. Default: 0.
@@ -86,6 +88,7 @@ impl Default for BakeOptions {
             quantity: Quantity::IrradianceOverPi,
             only: Vec::new(),
             exclude: Vec::new(),
+            audit: Audits::Auto,
             seed: 0,
             threads: 0,
         }
@@ -201,6 +204,17 @@ pub enum Quantity {
     Irradiance,
 }
 
+/// How much of the map is audited.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Audits {
+    /// Random texels for about 3 % of the bake's rays, or two million where that is more.
+    Auto,
+    /// Nothing.
+    Off,
+    /// So many random texels, each with noise about as large as the target.
+    Texels(usize),
+}
+
 impl BakeOptions {
     /// The target per mesh in force. Unit: percent.
     pub fn mesh_target(&self) -> f64 {
@@ -241,6 +255,11 @@ impl BakeOptions {
         {
             return fail(format!("--sky {},{},{}: radiance must be 0 or more", l.x, l.y, l.z));
         }
+        if let Audits::Texels(n) = self.audit
+            && !(2..=MAX_AUDITED).contains(&n)
+        {
+            return fail(format!("--audit {n}: must lie in 2 to {MAX_AUDITED} texels"));
+        }
         if let Some(s) = self.sun {
             let finite = s.elevation.is_finite() && s.azimuth.is_finite() && s.illuminance.is_finite();
             if !finite || s.illuminance < 0.0 || !(0.0..=90.0).contains(&s.diameter) {
@@ -253,6 +272,9 @@ impl BakeOptions {
 
 /// Largest page (texels).
 pub const MAX_TEXTURE: u32 = 16384;
+
+/// Most texels that are audited.
+pub const MAX_AUDITED: usize = 1 << 20;
 
 /// Most pages.
 pub const MAX_PAGES: u32 = 256;

@@ -1,6 +1,6 @@
 //! What a bake says about itself.
 
-use crate::accuracy::{MeshError, TexelError};
+use crate::accuracy::{Audit, MeshError, TexelError, Verdict};
 use crate::error::Warning;
 use crate::options::Quantity;
 use crate::photon::EnergyLedger;
@@ -23,7 +23,8 @@ pub struct Report {
     pub target_mesh_percent: f64,
     /// Both targets are met.
     pub target_met: bool,
-    /// What ended the bake where a target is not met: `time-limit`, `max-photons`, `samples`.
+    /// What ended the bake where a target is not met: `time-limit`, `max-photons`, `samples`; `audit` where
+    /// path tracing contradicts the stated error.
     pub limit: Option<&'static str>,
     /// Noise of the stored mean: sqrt( sum a (E_odd - E_even)^2 / (4 sum a) ) over the mean.
     pub sigma: f64,
@@ -41,6 +42,8 @@ pub struct Report {
     pub texel_error_interval: [f64; 2],
     /// The same for luminance.
     pub luminance_error_percent: f64,
+    /// What path tracing says of the texel error; `null` where it was not asked.
+    pub audit: Option<Audit>,
     /// RMS of bilinear filtering against the irradiance inside the texels; `null` while not estimated.
     pub texel_grid_error: Option<f64>,
     /// Texel error and grid error together; `null` while not estimated.
@@ -212,6 +215,8 @@ pub struct Seconds {
     pub photons: f64,
     /// Estimating errors.
     pub estimate: f64,
+    /// Auditing.
+    pub audit: f64,
     /// Making the maps.
     pub finish: f64,
     /// From the call to the result.
@@ -251,5 +256,18 @@ impl Report {
         self.outlier_share = e.outlier_share;
         self.split = Split { direct: e.direct, indirect: e.indirect };
         self.mean_irradiance = e.mean;
+    }
+
+    /// Takes over what an audit found, or why there was none. An error above the target means that it is not met.
+    pub fn take_audit(&mut self, audit: Result<Audit, &'static str>) {
+        match audit {
+            Ok(audit) => {
+                if audit.verdict == Verdict::AboveTarget && self.target_met {
+                    (self.target_met, self.limit) = (false, Some("audit"));
+                }
+                self.audit = Some(audit);
+            }
+            Err(why) => self.skips.push(why.into()),
+        }
     }
 }

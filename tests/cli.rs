@@ -160,10 +160,9 @@ fn wrong_usage_returns_2_and_writes_nothing() {
 
 #[test]
 fn what_is_not_built_is_refused_not_ignored() {
-    let flags: [&[&str]; 8] = [
+    let flags: [&[&str]; 7] = [
         &["--target-shown-percent", "5"],
         &["--texel-value", "fit"],
-        &["--audit", "auto"],
         &["--cache", "c"],
         &["--resume"],
         &["--plan", "p"],

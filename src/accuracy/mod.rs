@@ -1,16 +1,19 @@
 //! 7. How far the maps are from the truth.
 //!
 //! In: the irradiance of every texel in two independent halves, and the bias of its cells. Out: the error of their
-//! mean, with an interval, for the whole atlas and for each mesh, and what it takes to halve it.
+//! mean, with an interval, for the whole atlas and for each mesh, what it takes to halve it, and what an audit by
+//! path tracing says of it.
 //!
 //! With E = (E_odd + E_even) / 2 the variance of E is the mean of (E_odd - E_even)^2 / 4. Voloboy et al.
 //! ("Analysis of accuracy of global illumination simulation") state the distance of the halves instead, twice
 //! this; it is reported beside as `sigma_paper`.
 
+mod audit;
 mod estimate;
 mod interval;
 mod plan;
 
+pub use audit::{Audit, Auditor, Effort, Verdict};
 pub use estimate::{Halves, Known, MeshError, TexelError, TexelWeights, mesh_errors, texel_error};
 pub use interval::{chi_square_quantile, normal_quantile};
 pub use plan::{GATHER_AGAIN, MeshPlan, Missed, Spent, cheapest_growth, gather_rays, plan_meshes};

@@ -3,8 +3,8 @@
 use clap::{Args, Parser, Subcommand};
 use evenlight::BakeError;
 use evenlight::options::{
-    BakeOptions, Density, DoubleSided, Lights, Normals, Quantity, SkySource, Smoothing, Sun, TexelValue, Unwrapper,
-    UvSource,
+    Audits, BakeOptions, Density, DoubleSided, Lights, Normals, Quantity, SkySource, Smoothing, Sun, TexelValue,
+    Unwrapper, UvSource,
 };
 use evenlight::output::lightmap_exr::Layer;
 use glam::Vec3;
@@ -141,9 +141,10 @@ pub struct BakeArgs {
     #[arg(long, value_delimiter = ',', help_heading = "Maps")]
     exclude: Vec<String>,
 
-    /// (not built yet) Path-trace random texels to check the error.
-    #[arg(long, help_heading = "Run")]
-    audit: Option<String>,
+    /// Path-trace random texels to check the stated error: `auto` (3 % of the bake, or a second), `off`, or how many
+    /// texels.
+    #[arg(long, default_value = "auto", help_heading = "Run")]
+    audit: String,
     /// Seed of every random number.
     #[arg(long, default_value_t = 0, help_heading = "Run")]
     seed: u64,
@@ -208,6 +209,7 @@ impl BakeArgs {
             quantity: if self.quantity == "irradiance" { Quantity::Irradiance } else { Quantity::IrradianceOverPi },
             only: self.only.clone(),
             exclude: self.exclude.clone(),
+            audit: audits(&self.audit)?,
             seed: self.seed,
             threads: self.threads,
         };
@@ -233,7 +235,6 @@ impl BakeArgs {
         let asked = [
             (self.target_shown_percent.is_some(), "--target-shown-percent"),
             (self.texel_value == "fit", "--texel-value fit"),
-            (self.audit.is_some(), "--audit"),
             (self.cache.is_some(), "--cache"),
             (self.resume, "--resume"),
             (self.plan.is_some(), "--plan"),
@@ -263,6 +264,16 @@ fn density(text: &str) -> Result<Density, BakeError> {
     text.parse()
         .map(Density::TexelsPerMetre)
         .map_err(|_| BakeError::Options(format!("--density {text}: takes `auto` or texels per metre, such as 32")))
+}
+
+fn audits(text: &str) -> Result<Audits, BakeError> {
+    match text {
+        "auto" => Ok(Audits::Auto),
+        "off" => Ok(Audits::Off),
+        _ => text.parse().map(Audits::Texels).map_err(|_| {
+            BakeError::Options(format!("--audit {text}: takes `auto`, `off` or a number of texels, such as 1000"))
+        }),
+    }
 }
 
 /// A number, three numbers, or else a file.

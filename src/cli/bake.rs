@@ -5,7 +5,7 @@ use super::terminal::Terminal;
 use evenlight::output::glb::{self, GlbOptions};
 use evenlight::output::lightmap_exr::{self, ExrSettings};
 use evenlight::output::manifest::{Manifest, ManifestInputs};
-use evenlight::output::words::seconds;
+use evenlight::output::words::{audit, seconds};
 use evenlight::output::{Staging, preview, report_html, write_atomically};
 use evenlight::report::Report;
 use evenlight::scene::{Camera, Projection, Scene};
@@ -135,14 +135,15 @@ fn to_json(path: &Path, report: &Report) -> Result<String, BakeError> {
     Ok(text)
 }
 
-/// What happened, in three lines.
+/// What happened, in a few lines.
 fn summary(r: &Report, folder: &Path) -> String {
     let verdict = match r.limit {
         None => format!("target {} % met", r.target_percent),
         Some(limit) => format!("target {} % NOT met: ended by {limit}", r.target_percent),
     };
+    let audit = r.audit.as_ref().map_or(String::new(), |a| format!("{}\n", audit(a)));
     format!(
-        "{verdict}: texel error {:.2} % ({:.2} to {:.2}), 95 % of the meshes under {:.1} % (target {:.1} %)\n\
+        "{verdict}: texel error {:.2} % ({:.2} to {:.2}), 95 % of the meshes under {:.1} % (target {:.1} %)\n{audit}\
          {} texels, {} triangles, {:.1} M rays in {}; mean irradiance {:.4} lux\n\
          written to {}",
         r.texel_error_percent,

@@ -60,6 +60,7 @@ impl Observer for Terminal {
             Stage::Unwrap => "unwrapping",
             Stage::Prepare => "preparing texels and rays",
             Stage::Light => "tracing light",
+            Stage::Audit => "checking the error by path tracing",
             Stage::Finish => "making maps",
         };
         self.say(text.into());

@@ -1,5 +1,7 @@
 //! Numbers as a person says them, and text from strangers made safe for HTML.
 
+use crate::accuracy::{Audit, Verdict};
+
 /// Seconds with their unit, or minutes, or hours.
 pub fn seconds(s: f64) -> String {
     match s {
@@ -35,6 +37,18 @@ pub fn bytes(n: u64) -> String {
         n if n < 10 << 30 => format!("{} MiB", count(n >> 20)),
         n => format!("{:.1} GiB", n as f64 / f64::from(1 << 30)),
     }
+}
+
+/// What an audit found, in a sentence.
+pub fn audit(a: &Audit) -> String {
+    let verdict = match a.verdict {
+        Verdict::Agrees => "path tracing agrees",
+        Verdict::NotResolved => "path tracing could not tell",
+        Verdict::Understated => "path tracing finds more than stated",
+        Verdict::AboveTarget => "path tracing finds more than the target",
+    };
+    let [low, high] = a.error_interval.map(figures);
+    format!("{verdict}: {} % ({low} to {high}) in {} texels", figures(a.error_percent), count(a.texels as u64))
 }
 
 /// Text for HTML, between tags or in a quoted attribute, cut after `most` characters. Control characters, which no

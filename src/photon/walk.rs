@@ -13,7 +13,7 @@ pub const MAX_SURFACES: u32 = 100_000;
 
 /// A photon ends after this many steps in a row that are shorter than a crevice is wide. Between white sheets that
 /// lie upon another it would go on for hundreds, and make spikes of light that nobody sees.
-const MOST_CREVICE_STEPS: u32 = 8;
+pub const MOST_CREVICE_STEPS: u32 = 8;
 
 /// Reflectances are fixed-point numbers with this many bits.
 const ALBEDO_BITS: u32 = 24;

@@ -80,7 +80,7 @@ pub struct LightPath<'a> {
 
 impl<'a> LightPath<'a> {
     /// What direct light is sampled with.
-    fn light(&self, smooth: bool) -> TexelLight<'a> {
+    pub fn light(&self, smooth: bool) -> TexelLight<'a> {
         let LightPath { texels, open, emitters, visibility, .. } = *self;
         TexelLight { texels, open, emitters, visibility, smooth }
     }

@@ -1,6 +1,6 @@
 //! Scenes built in memory, each rectangle with its own place on the map.
 
-use evenlight::options::{Normals, Smoothing, TexelValue, UvSource};
+use evenlight::options::{Audits, Normals, Smoothing, TexelValue, UvSource};
 use evenlight::scene::{Instance, Light, LightKind, Material, Mesh, Primitive, Scene};
 use evenlight::{Bake, BakeOptions, NoObserver, bake};
 use glam::{DAffine3, DVec3, Vec2, Vec3, Vec4};
@@ -268,6 +268,7 @@ pub fn plain(page: u32, target_percent: f64) -> BakeOptions {
         texel_value: TexelValue::Mean,
         smoothing: Smoothing::None,
         gutter: 1,
+        audit: Audits::Off,
         seed: 1,
         ..BakeOptions::default()
     }

@@ -7,7 +7,7 @@
 mod graph;
 mod maps;
 
-use super::words::{bytes, count, escape, figures, seconds};
+use super::words::{audit, bytes, count, escape, figures, seconds};
 use super::write_atomically;
 use crate::accuracy::MeshError;
 use crate::bake::Bake;
@@ -77,6 +77,7 @@ fn headline(r: &Report) -> String {
             format!("<span class=\"bad\">target {} % not met, ended by {limit}:</span> {reached}", r.target_percent)
         }
     };
+    let audit = r.audit.as_ref().map_or(String::new(), |a| format!("<p>{}.</p>\n", audit(a)));
     let w = &r.work;
     let facts = [
         ("time", seconds(r.seconds.total)),
@@ -90,7 +91,7 @@ fn headline(r: &Report) -> String {
     ];
     let facts: String = facts.iter().map(|(k, v)| format!("<div><dt>{k}</dt><dd>{v}</dd></div>\n")).collect();
     format!(
-        "<h1>{}</h1>\n<p class=\"verdict\">{verdict}</p>\n\
+        "<h1>{}</h1>\n<p class=\"verdict\">{verdict}</p>\n{audit}\
          <p>95 % of the meshes are under {} % (target {} %); {} % of the area meets the target texel by \
          texel.</p>\n\
          <dl>\n{facts}</dl>\n<p class=\"soft\">evenlight {}, seed {}</p>\n",
@@ -266,6 +267,7 @@ fn stages(s: &Seconds) -> String {
         ("direct light", s.direct),
         ("photons", s.photons),
         ("errors, gathered light", s.estimate),
+        ("audit", s.audit),
         ("maps", s.finish),
         ("all, without writing files", s.total),
     ];

@@ -1,0 +1,312 @@
+//! The error once more, by other means: random texels of the finished map, path-traced to the end.
+//!
+//! Each texel gets two estimates V1, V2 of its irradiance E that know nothing of each other nor of the map. The
+//! noise of both cancels in the mean of (X - V1)(X - V2), which is that of (X - E)^2: the squared error of what is
+//! stored, X, with all that the halves cannot show. No photons, cells or caches take part; geometry, materials and
+//! emitters are the ones that the map was made with.
+
+use super::estimate::{Halves, TexelWeights};
+use crate::accel::{Ray, offset_origin};
+use crate::atlas::TexelSampler;
+use crate::light::{Receiver, SAMPLE_DIMENSIONS, TexelLight};
+use crate::photon::MOST_CREVICE_STEPS;
+use crate::sampling::{Stream, cosine_hemisphere, hash_mix, hash_seed, sobol, unit_f32};
+use crate::scene::SurfaceFlags;
+use glam::{Vec2, Vec3};
+use rayon::prelude::*;
+use serde::Serialize;
+
+/// A path ends after this many surfaces; roulette ends nearly all before.
+const MAX_SURFACES: u32 = 1000;
+
+/// Texels and paths of each that tell how noisy a path is.
+const PILOT_TEXELS: usize = 32;
+const PILOT_PATHS: u32 = 64;
+
+/// Paths of one estimate of a texel. Within these, so many that their noise is as large as the target.
+const PATHS: std::ops::RangeInclusive<f64> = 32.0..=16384.0;
+
+/// Texels, where a number of rays decides.
+const TEXELS: std::ops::RangeInclusive<usize> = 64..=4096;
+
+/// Texels between two questions whether to go on.
+const CHUNK: usize = 64;
+
+/// Sets the random numbers of audits apart from all others.
+const AUDIT: u64 = 0x0061_7564_6974_0000;
+
+/// Two-sided 95 %, in standard errors.
+const Z: f64 = 1.96;
+
+/// An error is above the target only where chance alone would say so once in 700 bakes: a pipeline stops there.
+const SURE: f64 = 3.0;
+
+/// How much is audited.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Effort {
+    /// As many texels as about so many rays allow.
+    Rays(u64),
+    /// So many texels.
+    Texels(usize),
+}
+
+/// What an audit says of the stated error.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Verdict {
+    /// The error found is not above the stated interval.
+    Agrees,
+    /// An error at the target could not be told from none: more texels would tell.
+    NotResolved,
+    /// The error is above the stated interval.
+    Understated,
+    /// ... and above the target, beyond three standard errors.
+    AboveTarget,
+}
+
+/// What an audit found. Percent of the map's mean irradiance.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+pub struct Audit {
+    /// What it says of the stated error.
+    pub verdict: Verdict,
+    /// Error of the texels.
+    pub error_percent: f64,
+    /// Its 95 % interval.
+    pub error_interval: [f64; 2],
+    /// An error smaller than this could not be told from none.
+    pub resolution_percent: f64,
+    /// Mean of the map less that of the paths: light that is lost, or too much.
+    pub mean_difference_percent: f64,
+    /// Its standard error.
+    pub mean_difference_deviation: f64,
+    /// Texels audited, drawn by their weight.
+    pub texels: usize,
+    /// Paths of each.
+    pub paths_per_texel: u32,
+    /// Rays of all paths.
+    pub rays: u64,
+}
+
+/// What is audited, and what with.
+#[derive(Debug, Clone, Copy)]
+pub struct Auditor<'a> {
+    /// Seed of the bake.
+    pub seed: u64,
+    /// What direct light is found with, on the normals that receive it.
+    pub light: TexelLight<'a>,
+    /// The map.
+    pub total: &'a Halves,
+    /// How its texels count.
+    pub weights: &'a TexelWeights,
+    /// Mean over the whole of each texel, not its open part alone.
+    pub whole: bool,
+    /// Width below which a gap between surfaces is none, as for photons [frame units].
+    pub crevice: f32,
+}
+
+/// Two estimates of a texel.
+#[derive(Clone, Copy, Default)]
+struct Estimates {
+    values: [Vec3; 2],
+    /// Variance of the paths, mean over the channels.
+    scatter: f64,
+    rays: u64,
+}
+
+impl Auditor<'_> {
+    /// Audits a map whose texels are stated to err by `stated` (lower and upper limit) for a `target`, in percent.
+    /// `None` where the map is black, or `go_on` said no.
+    pub fn run(&self, effort: Effort, stated: [f64; 2], target: f64, go_on: &dyn Fn() -> bool) -> Option<Audit> {
+        let cumulative: Vec<f64> = self
+            .weights
+            .weight
+            .iter()
+            .scan(0.0, |sum, w| {
+                *sum += w;
+                Some(*sum)
+            })
+            .collect();
+        let total = cumulative.last().copied().unwrap_or(0.0);
+        let e = |i: usize| f64::from(self.total.mean(i).element_sum()) / 3.0;
+        let mean = (0..cumulative.len()).map(|i| self.weights.weight[i] * e(i)).sum::<f64>() / total;
+        if total <= 0.0 || mean <= 0.0 || mean.is_nan() {
+            return None;
+        }
+        // Texels evenly spread over the weight, all moved by one random number.
+        let draw = |n: usize, moved: f64| -> Vec<usize> {
+            let pick = |j: usize| cumulative.partition_point(|c| *c <= (j as f64 + moved) / n as f64 * total);
+            (0..n).map(|j| pick(j).min(cumulative.len() - 1)).collect()
+        };
+        let mut random = Stream::new(hash_mix(self.seed, AUDIT));
+        let squared_target = (target / 100.0 * mean).powi(2);
+
+        let pilot = self.estimates(&draw(PILOT_TEXELS, f64::from(random.unit())), PILOT_PATHS, 1, go_on)?;
+        let scatter = pilot.iter().map(|p| p.scatter).sum::<f64>() / pilot.len() as f64;
+        let per_path =
+            pilot.iter().map(|p| p.rays).sum::<u64>() as f64 / (2 * PILOT_TEXELS as u32 * PILOT_PATHS) as f64;
+        let paths = (scatter / squared_target).clamp(*PATHS.start(), *PATHS.end());
+        let (texels, paths) = match effort {
+            Effort::Texels(n) => (n, paths),
+            Effort::Rays(rays) => {
+                let affordable = rays as f64 / (2.0 * per_path.max(1.0));
+                let n = ((affordable / paths) as usize).clamp(*TEXELS.start(), *TEXELS.end());
+                (n, paths.min(affordable / n as f64).max(*PATHS.start()))
+            }
+        };
+        let drawn = draw(texels, f64::from(random.unit()));
+        let found = self.estimates(&drawn, paths as u32, 2, go_on)?;
+
+        let (mut square, mut difference) = (Moments::default(), Moments::default());
+        for (&i, f) in drawn.iter().zip(&found) {
+            let [a, b] = f.values.map(|v| (self.total.mean(i) - v).as_dvec3() / mean);
+            square.add(a.dot(b) / 3.0);
+            difference.add((a + b).element_sum() / 6.0);
+        }
+        let percent = |square: f64| 100.0 * square.max(0.0).sqrt();
+        let error = |by: f64| percent(square.mean() + by * Z * square.deviation());
+        let [low, high] = [error(-1.0), error(1.0)];
+        let resolution = percent(Z * square.deviation());
+        let verdict = if low > stated[1] && error(-SURE) > target {
+            Verdict::AboveTarget
+        } else if low > stated[1] {
+            Verdict::Understated
+        } else if resolution > target.max(stated[1]) {
+            Verdict::NotResolved
+        } else {
+            Verdict::Agrees
+        };
+        Some(Audit {
+            verdict,
+            error_percent: error(0.0),
+            error_interval: [low, high],
+            resolution_percent: resolution,
+            mean_difference_percent: 100.0 * difference.mean(),
+            mean_difference_deviation: 100.0 * difference.deviation(),
+            texels,
+            paths_per_texel: 2 * paths as u32,
+            rays: pilot.iter().chain(&found).map(|f| f.rays).sum(),
+        })
+    }
+
+    /// Two estimates of each of `texels`, by `paths` paths each; `pass` sets their random numbers apart.
+    fn estimates(&self, texels: &[usize], paths: u32, pass: u64, go_on: &dyn Fn() -> bool) -> Option<Vec<Estimates>> {
+        let mut out = Vec::with_capacity(texels.len());
+        for (c, chunk) in texels.chunks(CHUNK).enumerate() {
+            if !go_on() {
+                return None;
+            }
+            let of = |sampler: &mut TexelSampler, (j, &texel): (usize, &usize)| {
+                let key = hash_mix(hash_mix(self.seed, AUDIT + pass), (c * CHUNK + j) as u64);
+                self.estimate(texel, paths, key, sampler)
+            };
+            out.par_extend(chunk.par_iter().enumerate().map_init(TexelSampler::default, of));
+        }
+        Some(out)
+    }
+
+    fn estimate(&self, texel: usize, paths: u32, key: u64, sampler: &mut TexelSampler) -> Estimates {
+        const { assert!(SAMPLE_DIMENSIONS + 2 <= crate::sampling::DIMENSIONS) };
+        let open = if self.whole { 1.0 } else { self.light.open[texel] };
+        let mut out = Estimates::default();
+        sampler.load(self.light.texels, texel);
+        for (v, value) in out.values.iter_mut().enumerate() {
+            let key = hash_mix(key, v as u64);
+            let (place, way) = (hash_seed(&[key, 0]), hash_seed(&[key, 1]));
+            let (mut sum, mut squares) = (Vec3::ZERO, 0.0f64);
+            for k in 0..paths {
+                let u = |d: usize| unit_f32(sobol(k, d, place));
+                let Some(at) = self.light.point(texel, sampler, Vec2::new(u(0), u(1)), &mut out.rays) else { continue };
+                let mut stream = Stream::new(hash_mix(key, 2 + u64::from(k)));
+                let direct = self.light.light(at, |d| u(d + 2), &mut stream, &mut out.rays).stored;
+                let turn = Vec2::new(unit_f32(sobol(k, 0, way)), unit_f32(sobol(k, 1, way)));
+                let direction = cosine_hemisphere(at.geometric_normal, turn);
+                let light = direct + self.reflected(&at, direction, &mut stream, &mut out.rays);
+                sum += light;
+                squares += f64::from(light.length_squared());
+            }
+            let n = paths as f32;
+            *value = sum / (n * open.max(1e-6));
+            let scatter = squares / f64::from(n) - f64::from((sum / n).length_squared());
+            out.scatter += scatter.max(0.0) / (6.0 * f64::from(open.max(1e-6)).powi(2));
+        }
+        out
+    }
+
+    /// Radiosity that comes back to `at` along `direction`, by one path.
+    fn reflected(&self, at: &Receiver, direction: Vec3, stream: &mut Stream, rays: &mut u64) -> Vec3 {
+        let (visibility, world) = (self.light.visibility, self.light.visibility.world);
+        let reflecting = TexelLight { smooth: false, ..self.light };
+        let (mut sum, mut carried) = (Vec3::ZERO, Vec3::ONE);
+        let mut ray = Ray { origin: at.origin, direction, t_max: f32::INFINITY };
+        let mut in_crevice = 0;
+        for _ in 0..MAX_SURFACES {
+            *rays += 1;
+            let Some(hit) = visibility.accel.closest(&ray) else { break };
+            in_crevice = if hit.t < self.crevice { in_crevice + 1 } else { 0 };
+            if in_crevice > MOST_CREVICE_STEPS {
+                break;
+            }
+            let uv = Vec2::new(hit.u, hit.v);
+            let flags = world.flags[hit.triangle as usize];
+            let normal = world.normals[hit.triangle as usize];
+            let back = normal.dot(ray.direction) > 0.0;
+            let facing = if back { -normal } else { normal };
+            let reflects = !back || flags.has(SurfaceFlags::DOUBLE_SIDED);
+            let passes = flags.has(SurfaceFlags::PASSES_LIGHT);
+            let surface = world.surface(hit.triangle, uv);
+            let albedo = if reflects { surface.albedo * surface.alpha } else { Vec3::ZERO };
+            let passed = if passes {
+                Vec3::splat(1.0 - surface.alpha) + surface.transmittance * surface.alpha
+            } else {
+                Vec3::ZERO
+            };
+            if albedo != Vec3::ZERO {
+                let lit = Receiver::new(world, hit.triangle, uv, back, false);
+                sum += carried * reflecting.any_light(lit, stream, rays).sent;
+            }
+            // Roulette by what is left of the path.
+            let (r, p) = ((carried * albedo).max_element(), (carried * passed).max_element());
+            let whole = (r + p).max(1e-30);
+            let alive = whole.min(1.0);
+            let pick = stream.unit() * (whole / alive);
+            let (position, extent) = (world.position(hit.triangle, uv), world.extent(hit.triangle));
+            if pick < r {
+                carried *= albedo * (whole / (r * alive));
+                let direction = cosine_hemisphere(facing, Vec2::new(stream.unit(), stream.unit()));
+                ray = Ray { origin: offset_origin(position, facing, extent), direction, t_max: f32::INFINITY };
+            } else if pick < r + p {
+                carried *= passed * (whole / (p * alive));
+                ray.origin = offset_origin(position, -facing, extent);
+            } else {
+                break;
+            }
+        }
+        if sum.is_finite() { sum } else { Vec3::ZERO }
+    }
+}
+
+/// Sums for a mean and its standard error.
+#[derive(Clone, Copy, Default)]
+struct Moments {
+    n: f64,
+    sum: f64,
+    squares: f64,
+}
+
+impl Moments {
+    fn add(&mut self, x: f64) {
+        self.n += 1.0;
+        self.sum += x;
+        self.squares += x * x;
+    }
+
+    fn mean(&self) -> f64 {
+        self.sum / self.n.max(1.0)
+    }
+
+    /// Standard error of the mean.
+    fn deviation(&self) -> f64 {
+        let scatter = (self.squares - self.sum * self.mean()).max(0.0) / (self.n - 1.0).max(1.0);
+        (scatter / self.n.max(1.0)).sqrt()
+    }
+}
