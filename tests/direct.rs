@@ -56,17 +56,17 @@ impl Stage<'_> {
         TexelLight { texels: &self.texels, open: &[], emitters: &self.emitters, visibility, smooth: false }
     }
 
-    fn extend(&self, direct: &mut Direct, seed: u64, more: impl Fn(usize, usize) -> u32 + Sync) {
-        direct.extend(&more, seed, &self.light(&Visibility::new(&self.world, &self.accel)));
+    fn extend(&self, direct: &mut Direct, seed: u64, more: impl Fn(usize, usize) -> u32 + Sync, steering: u32) {
+        direct.extend(&more, steering, seed, &self.light(&Visibility::new(&self.world, &self.accel)));
     }
 
     /// Two samples per texel and half, then as many again as were taken so far, `rounds` times.
     fn adaptive(&self, seed: u64, rounds: u32) -> Direct {
         let mut direct = Direct::new(self.texels.texels.len());
-        self.extend(&mut direct, seed, |_, _| 2);
+        self.extend(&mut direct, seed, |_, _| 2, 2);
         for _ in 0..rounds {
-            let more = direct.allocate(direct.all_samples(), &self.texels, |_| 1.0);
-            self.extend(&mut direct, seed, |half, texel| more[half][texel]);
+            let next = direct.allocate(direct.all_samples(), &self.texels, |_| 1.0);
+            self.extend(&mut direct, seed, |half, texel| next.more[half][texel], next.steering);
         }
         direct
     }
@@ -76,7 +76,7 @@ impl Stage<'_> {
         let mut sum = vec![DVec3::ZERO; self.texels.mapped];
         for seed in 0..seeds {
             let mut direct = Direct::new(self.texels.texels.len());
-            self.extend(&mut direct, 1_000_000 + seed, |_, _| 1024);
+            self.extend(&mut direct, 1_000_000 + seed, |_, _| 1024, 1024);
             for (i, s) in sum.iter_mut().enumerate() {
                 *s += (direct.stored(0, i) + direct.stored(1, i)).as_dvec3() / (2 * seeds) as f64;
             }
@@ -156,7 +156,7 @@ fn photons_leave_a_texel_from_where_its_light_is() {
         let walls = [1, 2].map(|node| at(node).expect("a wall has one texel"));
         let shoot = |seed: u64| {
             let mut direct = Direct::new(stage.texels.texels.len());
-            stage.extend(&mut direct, seed, |_, _| samples);
+            stage.extend(&mut direct, seed, |_, _| samples, samples);
             let starts = [0, 1].map(|half| StartTable::new(&stage.texels, &direct, half));
             let flux = Flux::for_total(starts[0].total());
             let light = stage.light(&visibility);

@@ -27,11 +27,11 @@ const CHANCE: f64 = 3.0;
 /// Elements in a part of a cell over those in its parts.
 const DETAIL_STEP: usize = 8;
 
-/// Regions of so many cells are put right as a whole.
-const REGIONS: [usize; 4] = [usize::MAX, 1024, 128, 16];
-
-/// Each cell then is put right in so many steps, each of which finds most of what is left.
+/// Each cell is put right in so many steps, each of which finds most of what is left.
 const STEPS: usize = 2;
+
+/// Regions of so many cells then are put right as a whole.
+const REGIONS: [usize; 4] = [usize::MAX, 1024, 128, 16];
 
 /// Cells whose normals are further apart than this have nothing to do with each other.
 const LEAST_COSINE: f32 = 0.7;
@@ -87,11 +87,11 @@ pub fn reconstruct(
     let fitted = Fitted { tree, cells, moments: &moments, around: &around, caught, dispersion };
     let mut parts: Vec<Vec<Vec3>> =
         (0..moments.len()).into_par_iter().map(|i| fitted.blend(i, |j, d| planes[j].at(d))).collect();
-    REGIONS.iter().for_each(|&size| fitted.keep_energy(&mut parts, size));
     (0..STEPS).for_each(|_| fitted.give_back(&mut parts));
     if let Some(samples) = &caught.samples {
         fitted.give_detail_back(&mut parts, samples);
     }
+    REGIONS.iter().for_each(|&size| fitted.keep_energy(&mut parts, size));
     let mut out = vec![Vec3::ZERO; tree.elements.len()];
     cells.order.iter().zip(parts.iter().flatten()).for_each(|(&k, &e)| out[k as usize] = e);
     let mut sides = vec![0.0; tree.elements.len()];
@@ -124,21 +124,21 @@ impl Fitted<'_> {
         (0..parts.len()).into_par_iter().map(|i| self.moments[i].flux - told(i)).collect()
     }
 
-    /// Scales the light of regions of `size` cells to what they caught, as far as that is sure: planes that are cut
-    /// off at 0 or reach into darker cells add light.
+    /// Scales the light of regions of `size` cells to what they caught. Planes that are cut off at 0 or reach into darker
+    /// cells add light; large dark cells, which reach further into small bright ones than these into them, take some.
+    /// All of what is missing is given back, for its noise is little beside that of the cells themselves.
     fn keep_energy(&self, parts: &mut [Vec<Vec3>], size: usize) {
         let missing = self.missing(parts);
         let size = size.min(parts.len().max(1));
         parts.par_chunks_mut(size).enumerate().for_each(|(region, parts)| {
-            let (mut caught, mut lost, mut variance) = (DVec3::ZERO, DVec3::ZERO, 0.0);
+            let (mut caught, mut lost) = (DVec3::ZERO, DVec3::ZERO);
             let cells = region * size..region * size + parts.len();
             for (cell, missing) in self.moments[cells.clone()].iter().zip(&missing[cells]) {
                 caught += cell.flux;
                 lost += *missing;
-                variance += cell.variance;
             }
             let told = (caught - lost).max(DVec3::splat(1e-300));
-            let factor = DVec3::ONE + lost * sure(lost, variance) / told;
+            let factor = DVec3::ONE + lost / told;
             let factor = factor.clamp(DVec3::splat(0.5), DVec3::splat(2.0)).as_vec3();
             if factor != Vec3::ONE {
                 parts.iter_mut().flatten().for_each(|v| *v *= factor);

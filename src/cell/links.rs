@@ -46,11 +46,15 @@ impl Cells {
         let mut parts: Vec<Vec<u32>> = parts.into_iter().flatten().collect();
         let middles: Vec<&Element> =
             parts.par_iter().map(|p| middle_of(p.iter().map(|&k| &tree.elements[k as usize]))).collect();
-        let homes: Vec<Option<usize>> = choice
+        let specks: Vec<(Vec<u32>, &Node)> = choice
             .specks
             .par_iter()
+            .flat_map_iter(|(speck, sibling)| part(tree, speck, accel).into_iter().map(move |p| (p, sibling)))
+            .collect();
+        let homes: Vec<Option<usize>> = specks
+            .par_iter()
             .map(|(speck, sibling)| {
-                let at = middle(tree, speck.elements.clone());
+                let at = middle_of(speck.iter().map(|&k| &tree.elements[k as usize]));
                 let within = |from: usize| choice.cells.partition_point(|n| n.elements.start < from);
                 let range = first[within(sibling.elements.start)]..first[within(sibling.elements.end)];
                 let distance = |i: &usize| middles[*i].position.distance_squared(at.position);
@@ -64,12 +68,11 @@ impl Cells {
                 near.into_iter().find(|&i| linked(at, middles[i], accel))
             })
             .collect();
-        for ((speck, _), home) in choice.specks.iter().zip(homes) {
-            let elements = speck.elements.start as u32..speck.elements.end as u32;
+        for ((speck, _), home) in specks.into_iter().zip(homes) {
             match home {
-                Some(i) => parts[i].extend(elements),
+                Some(i) => parts[i].extend(speck),
                 // Behind walls on all sides: alone after all.
-                None => parts.push(elements.collect()),
+                None => parts.push(speck),
             }
         }
         let mut cells = Cells { order: Vec::with_capacity(tree.elements.len()), ranges: Vec::new() };

@@ -300,13 +300,13 @@ impl Solver<'_, '_> {
             let most = MOST_SAMPLES_AT_ONCE.max(MOST_PER_TEXEL_AT_ONCE * texels.texels.len() as u64);
             let budget = left.min(most);
             if self.direct.all_samples() == 0 {
-                self.direct.extend(&|_, _| FIRST_SAMPLES, self.options.seed, &light);
+                self.direct.extend(&|_, _| FIRST_SAMPLES, FIRST_SAMPLES, self.options.seed, &light);
                 left = 0;
             } else {
                 let counts =
                     |texel: usize| self.weights.instance.get(texel).map_or(1.0, |&i| self.importance[i as usize]);
-                let more = self.direct.allocate(budget, texels, counts);
-                self.direct.extend(&|half, texel| more[half][texel], self.options.seed, &light);
+                let next = self.direct.allocate(budget, texels, counts);
+                self.direct.extend(&|half, texel| next.more[half][texel], next.steering, self.options.seed, &light);
                 left -= budget;
             }
             self.seconds[0] += started.elapsed().as_secs_f64();
