@@ -41,14 +41,18 @@ pub fn bytes(n: u64) -> String {
 
 /// What an audit found, in a sentence.
 pub fn audit(a: &Audit) -> String {
+    let texels = count(a.texels as u64);
     let verdict = match a.verdict {
+        Verdict::NotResolved => {
+            let coarse = figures(a.resolution_percent);
+            return format!("path tracing of {texels} texels shows errors from {coarse} % on: --audit N takes more");
+        }
         Verdict::Agrees => "path tracing agrees",
-        Verdict::NotResolved => "path tracing could not tell",
         Verdict::Understated => "path tracing finds more than stated",
         Verdict::AboveTarget => "path tracing finds more than the target",
     };
     let [low, high] = a.error_interval.map(figures);
-    format!("{verdict}: {} % ({low} to {high}) in {} texels", figures(a.error_percent), count(a.texels as u64))
+    format!("{verdict}: {} % ({low} to {high}) in {texels} texels", figures(a.error_percent))
 }
 
 /// Text for HTML, between tags or in a quoted attribute, cut after `most` characters. Control characters, which no
