@@ -232,8 +232,8 @@ fn audit(
         whole: options.texel_value == TexelValue::Mean,
         crevice: path.crevice,
     };
-    let stated = [solution.error.low, solution.error.high];
-    auditor.run(effort, stated, options.target_percent, &|| !observer.cancelled()).ok_or(BakeError::Cancelled).map(Ok)
+    let go_on = || !observer.cancelled();
+    auditor.run(effort, &solution.error, options.target_percent, &go_on).ok_or(BakeError::Cancelled).map(Ok)
 }
 
 /// Share of all photons' flux that the backs of one node must meet to be worth a warning.

@@ -3,12 +3,10 @@
 mod common;
 
 use common::rooms::{Builder, cornell, plain, run};
-use evenlight::accel::Accel;
-use evenlight::accuracy::{Audit, Auditor, Effort, Halves, TexelWeights, Verdict};
-use evenlight::atlas::{self, Texels};
-use evenlight::light::{Emitters, LightSettings, Lighting, TexelLight, Visibility};
+use common::stage::Stage;
+use evenlight::accuracy::{Audit, Auditor, Effort, Halves, TexelError, TexelWeights, Verdict};
+use evenlight::light::Visibility;
 use evenlight::options::Audits;
-use evenlight::scene::{SurfaceFlags, World};
 use evenlight::{BakeOptions, Scene};
 use glam::Vec3;
 use std::f64::consts::PI;
@@ -28,26 +26,24 @@ fn furnace() -> Scene {
 /// Audits a map of the furnace that is its true irradiance times 1 + `planted(texel)`.
 fn audit_furnace(effort: Effort, planted: impl Fn(usize) -> f64) -> Audit {
     let scene = furnace();
-    let options = plain(PAGE, 1.0);
-    let atlas = atlas::build(&scene, &options, &|| false).expect("the scene has its UVs");
-    let world = World::new(&scene);
-    let texels = Texels::new(&world, &atlas);
-    let accel = Accel::build(&world.positions, |t| world.flags[t as usize].has(SurfaceFlags::UNSEEN));
-    let lighting = Lighting::new(&scene, &options).expect("no sky file");
-    let emitters = Emitters::new(&world, &lighting, LightSettings::default());
-    let visibility = Visibility::new(&world, &accel);
+    let stage = Stage::new(&scene, PAGE);
+    let (texels, visibility) = (&stage.texels, Visibility::new(&stage.world, &stage.accel));
     let open = vec![1.0; texels.mapped];
     let truth = PI * RADIANCE / (1.0 - ALBEDO);
     let map: Vec<Vec3> = (0..texels.mapped).map(|i| Vec3::splat((truth * (1.0 + planted(i))) as f32)).collect();
+    let weights = TexelWeights::new(&stage.world, texels, &open);
+    let area: f64 = weights.weight.iter().sum();
+    let mean = map.iter().zip(&weights.weight).map(|(e, w)| w * f64::from(e.x)).sum::<f64>() / area;
+    let stated = TexelError { mean, low: 0.9, high: 1.1, ..TexelError::default() };
     let auditor = Auditor {
         seed: 7,
-        light: TexelLight { texels: &texels, open: &open, emitters: &emitters, visibility: &visibility, smooth: false },
+        light: stage.light(&visibility, &open),
         total: &Halves { odd: map.clone(), even: map },
-        weights: &TexelWeights::new(&world, &texels, &open),
+        weights: &weights,
         whole: true,
         crevice: 0.0,
     };
-    auditor.run(effort, [0.9, 1.1], 2.0, &|| true).expect("the map is not black")
+    auditor.run(effort, &stated, 2.0, &|| true).expect("nothing stops it")
 }
 
 /// Two-sided 95 % intervals at fixed seeds: each holds what it should.

@@ -2,13 +2,12 @@
 
 mod common;
 
-use common::rooms::{Builder, plain};
+use common::rooms::Builder;
+use common::stage::Stage;
 use common::statistics::{expect_mean, mean_and_error};
-use evenlight::accel::Accel;
-use evenlight::atlas::{self, Atlas, Texels};
-use evenlight::light::{Direct, Emitters, LightSettings, Lighting, TexelLight, Visibility};
+use evenlight::light::{Direct, Visibility};
 use evenlight::photon::{Bins, Flux, Shooting, StartTable};
-use evenlight::scene::{Scene, SurfaceFlags, World};
+use evenlight::scene::Scene;
 use glam::{DVec3, Vec3};
 
 const PAGE: u32 = 64;
@@ -32,32 +31,9 @@ fn bars(lamp: bool) -> Scene {
     b.finish()
 }
 
-/// All that direct light is gathered from.
-struct Stage<'s> {
-    world: World<'s>,
-    texels: Texels,
-    accel: Accel,
-    emitters: Emitters,
-}
-
 impl Stage<'_> {
-    fn new(scene: &Scene) -> Stage<'_> {
-        let options = plain(PAGE, 1.0);
-        let atlas: Atlas = atlas::build(scene, &options, &|| false).expect("the scene has its UVs");
-        let world = World::new(scene);
-        let texels = Texels::new(&world, &atlas);
-        let accel = Accel::build(&world.positions, |t| world.flags[t as usize].has(SurfaceFlags::UNSEEN));
-        let lighting = Lighting::new(scene, &options).expect("no sky file");
-        let emitters = Emitters::new(&world, &lighting, LightSettings::default());
-        Stage { world, texels, accel, emitters }
-    }
-
-    fn light<'a>(&'a self, visibility: &'a Visibility) -> TexelLight<'a> {
-        TexelLight { texels: &self.texels, open: &[], emitters: &self.emitters, visibility, smooth: false }
-    }
-
     fn extend(&self, direct: &mut Direct, seed: u64, more: impl Fn(usize, usize) -> u32 + Sync, steering: u32) {
-        direct.extend(&more, steering, seed, &self.light(&Visibility::new(&self.world, &self.accel)));
+        direct.extend(&more, steering, seed, &self.light(&Visibility::new(&self.world, &self.accel), &[]));
     }
 
     /// Two samples per texel and half, then as many again as were taken so far, `rounds` times.
@@ -110,7 +86,7 @@ fn figures(stage: &Stage, direct: &Direct, truth: &[DVec3]) -> [f64; 3] {
 fn adaptive_samples_are_honest_at_shadow_edges() {
     for (what, lamp) in [("point", false), ("lamp", true)] {
         let scene = bars(lamp);
-        let stage = Stage::new(&scene);
+        let stage = Stage::new(&scene, PAGE);
         let truth = stage.truth(16);
         let trials: Vec<[f64; 3]> = (0..1600).map(|seed| figures(&stage, &stage.adaptive(seed, 2), &truth)).collect();
         let n = trials.len() as f64;
@@ -144,7 +120,7 @@ fn lit_corner(texels: u32) -> Scene {
 fn photons_leave_a_texel_from_where_its_light_is() {
     let caught = |texels: u32, samples: u32| -> Vec<[f64; 2]> {
         let scene = lit_corner(texels);
-        let stage = Stage::new(&scene);
+        let stage = Stage::new(&scene, PAGE);
         let visibility = Visibility::new(&stage.world, &stage.accel);
         let open = vec![1.0; stage.texels.mapped];
         let at = |node: u32| {
@@ -159,7 +135,7 @@ fn photons_leave_a_texel_from_where_its_light_is() {
             stage.extend(&mut direct, seed, |_, _| samples, samples);
             let starts = [0, 1].map(|half| StartTable::new(&stage.texels, &direct, half));
             let flux = Flux::for_total(starts[0].total());
-            let light = stage.light(&visibility);
+            let light = stage.light(&visibility, &[]);
             let shooting = Shooting { seed, flux, starts: &starts, direct: &direct, light, crevice: 0.0 };
             let bins = Bins::new(&stage.world, &stage.texels, &open);
             shooting.net(0, 0, 15, &bins);

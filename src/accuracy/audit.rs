@@ -5,13 +5,14 @@
 //! stored, X, with all that the halves cannot show. No photons, cells or caches take part; geometry, materials and
 //! emitters are the ones that the map was made with.
 
-use super::estimate::{Halves, TexelWeights};
+use super::estimate::{Halves, TexelError, TexelWeights};
+use super::interval::TWO_SIDED_95;
 use crate::accel::{Ray, offset_origin};
 use crate::atlas::TexelSampler;
 use crate::light::{Receiver, SAMPLE_DIMENSIONS, TexelLight};
 use crate::photon::MOST_CREVICE_STEPS;
 use crate::sampling::{Stream, cosine_hemisphere, hash_mix, hash_seed, sobol, unit_f32};
-use crate::scene::SurfaceFlags;
+use crate::scene::Met;
 use glam::{Vec2, Vec3};
 use rayon::prelude::*;
 use serde::Serialize;
@@ -34,9 +35,6 @@ const CHUNK: usize = 64;
 
 /// Sets the random numbers of audits apart from all others.
 const AUDIT: u64 = 0x0061_7564_6974_0000;
-
-/// Two-sided 95 %, in standard errors.
-const Z: f64 = 1.96;
 
 /// An error is above the target only where chance alone would say so once in 700 bakes: a pipeline stops there.
 const SURE: f64 = 3.0;
@@ -114,9 +112,9 @@ struct Estimates {
 }
 
 impl Auditor<'_> {
-    /// Audits a map whose texels are stated to err by `stated` (lower and upper limit) for a `target`, in percent.
-    /// `None` where the map is black, or `go_on` said no.
-    pub fn run(&self, effort: Effort, stated: [f64; 2], target: f64, go_on: &dyn Fn() -> bool) -> Option<Audit> {
+    /// Audits a map that is not black and is stated to err by `stated`, for a `target` in percent. `None` where `go_on`
+    /// said no.
+    pub fn run(&self, effort: Effort, stated: &TexelError, target: f64, go_on: &dyn Fn() -> bool) -> Option<Audit> {
         let cumulative: Vec<f64> = self
             .weights
             .weight
@@ -126,12 +124,7 @@ impl Auditor<'_> {
                 Some(*sum)
             })
             .collect();
-        let total = cumulative.last().copied().unwrap_or(0.0);
-        let e = |i: usize| f64::from(self.total.mean(i).element_sum()) / 3.0;
-        let mean = (0..cumulative.len()).map(|i| self.weights.weight[i] * e(i)).sum::<f64>() / total;
-        if total <= 0.0 || mean <= 0.0 || mean.is_nan() {
-            return None;
-        }
+        let (total, mean) = (cumulative.last().copied().unwrap_or(0.0), stated.mean);
         // Texels evenly spread over the weight, all moved by one random number.
         let draw = |n: usize, moved: f64| -> Vec<usize> {
             let pick = |j: usize| cumulative.partition_point(|c| *c <= (j as f64 + moved) / n as f64 * total);
@@ -163,14 +156,14 @@ impl Auditor<'_> {
             difference.add((a + b).element_sum() / 6.0);
         }
         let percent = |square: f64| 100.0 * square.max(0.0).sqrt();
-        let error = |by: f64| percent(square.mean() + by * Z * square.deviation());
-        let [low, high] = [error(-1.0), error(1.0)];
-        let resolution = percent(Z * square.deviation());
-        let verdict = if low > stated[1] && error(-SURE) > target {
+        let error = |deviations: f64| percent(square.mean() + deviations * square.deviation());
+        let [low, high] = [error(-TWO_SIDED_95), error(TWO_SIDED_95)];
+        let resolution = percent(TWO_SIDED_95 * square.deviation());
+        let verdict = if low > stated.high && error(-SURE * TWO_SIDED_95) > target {
             Verdict::AboveTarget
-        } else if low > stated[1] {
+        } else if low > stated.high {
             Verdict::Understated
-        } else if resolution > target.max(stated[1]) {
+        } else if resolution > target.max(stated.high) {
             Verdict::NotResolved
         } else {
             Verdict::Agrees
@@ -247,19 +240,7 @@ impl Auditor<'_> {
                 break;
             }
             let uv = Vec2::new(hit.u, hit.v);
-            let flags = world.flags[hit.triangle as usize];
-            let normal = world.normals[hit.triangle as usize];
-            let back = normal.dot(ray.direction) > 0.0;
-            let facing = if back { -normal } else { normal };
-            let reflects = !back || flags.has(SurfaceFlags::DOUBLE_SIDED);
-            let passes = flags.has(SurfaceFlags::PASSES_LIGHT);
-            let surface = world.surface(hit.triangle, uv);
-            let albedo = if reflects { surface.albedo * surface.alpha } else { Vec3::ZERO };
-            let passed = if passes {
-                Vec3::splat(1.0 - surface.alpha) + surface.transmittance * surface.alpha
-            } else {
-                Vec3::ZERO
-            };
+            let Met { back, facing, reflected: albedo, passed, .. } = world.meet(hit.triangle, uv, ray.direction);
             if albedo != Vec3::ZERO {
                 let lit = Receiver::new(world, hit.triangle, uv, back, false);
                 sum += carried * reflecting.any_light(lit, stream, rays).sent;

@@ -1,6 +1,6 @@
 //! Error of the mean of two halves: their noise, and the bias of cells.
 
-use super::interval::chi_square_quantile;
+use super::interval::{TWO_SIDED_95, chi_square_quantile};
 use crate::atlas::Texels;
 use crate::cell::{Bias, Node, SurfaceTree};
 use crate::scene::World;
@@ -181,7 +181,7 @@ pub fn texel_error(known: &Known) -> TexelError {
     let nu = if variance > 0.0 { (2.0 * square * square / variance).clamp(3.0, 1e6) } else { 1e6 };
     let noise_low = square * nu / chi_square_quantile(0.975, nu);
     let noise_high = square * nu / chi_square_quantile(0.025, nu);
-    let spread = 1.96 * known.bias.variance.sqrt();
+    let spread = TWO_SIDED_95 * known.bias.variance.sqrt();
     let middle = square + known.bias.square.max(0.0);
     let bias = percent(known.bias.square);
     let y = 100.0 * (sum(|s| s.square_y) / weight).sqrt() / (sum(|s| s.y) / weight);

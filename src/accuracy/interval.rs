@@ -1,5 +1,8 @@
 //! Quantiles.
 
+/// Half the 95 % interval of a normal distribution, in standard deviations.
+pub const TWO_SIDED_95: f64 = 1.96;
+
 /// Quantile of the standard normal distribution (Acklam's rational approximation; relative error 1.2e-9).
 pub fn normal_quantile(p: f64) -> f64 {
     const A: [f64; 6] = [

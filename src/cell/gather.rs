@@ -12,7 +12,7 @@ use crate::atlas::TexelSampler;
 use crate::light::{Direct, Receiver, START_SLOTS, TexelLight};
 use crate::photon::StartTable;
 use crate::sampling::{Stream, cosine_hemisphere, hash_mix, hash_seed, sobol, unit_f32};
-use crate::scene::SurfaceFlags;
+use crate::scene::Met;
 use glam::{Vec2, Vec3};
 use rayon::prelude::*;
 use std::f32::consts::PI;
@@ -109,23 +109,12 @@ impl Gather<'_> {
             *rays += 1;
             let Some(hit) = visibility.accel.closest(&ray) else { return sum };
             let uv = Vec2::new(hit.u, hit.v);
-            let flags = world.flags[hit.triangle as usize];
-            let normal = world.normals[hit.triangle as usize];
-            let back = normal.dot(ray.direction) > 0.0;
-            let facing = if back { -normal } else { normal };
-            let reflects = !back || flags.has(SurfaceFlags::DOUBLE_SIDED);
-            let passes = flags.has(SurfaceFlags::PASSES_LIGHT);
-            if !reflects && !passes {
+            let Met { back, facing, receives, passes, reflected: albedo, passed } =
+                world.meet(hit.triangle, uv, ray.direction);
+            if !receives && !passes {
                 return sum;
             }
-            let surface = world.surface(hit.triangle, uv);
-            let albedo = if reflects { surface.albedo * surface.alpha } else { Vec3::ZERO };
-            let passed = if passes {
-                Vec3::splat(1.0 - surface.alpha) + surface.transmittance * surface.alpha
-            } else {
-                Vec3::ZERO
-            };
-            let texel = if reflects { texels.at(hit.triangle, back, uv) } else { None };
+            let texel = if receives { texels.at(hit.triangle, back, uv) } else { None };
             let mut reflected = albedo;
             if let Some(texel) = texel {
                 let texel = texel as usize;

@@ -141,8 +141,8 @@ pub struct BakeArgs {
     #[arg(long, value_delimiter = ',', help_heading = "Maps")]
     exclude: Vec<String>,
 
-    /// Path-trace random texels to check the stated error: `auto` (3 % of the bake, or a second), `off`, or how many
-    /// texels.
+    /// Path-trace random texels to check the stated error: `auto` (3 % of the bake's rays, or two million), `off`,
+    /// or how many texels.
     #[arg(long, default_value = "auto", help_heading = "Run")]
     audit: String,
     /// Seed of every random number.

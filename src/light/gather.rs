@@ -107,7 +107,7 @@ impl TexelLight<'_> {
             Vec3::ZERO
         } else {
             let surface = world.surface(at.triangle, at.uv);
-            surface.albedo * surface.alpha * light.transported
+            surface.reflected() * light.transported
         };
         LitPoint { at, stored: light.stored, soft: light.soft, sent }
     }

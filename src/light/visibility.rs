@@ -43,7 +43,7 @@ impl<'a> Visibility<'a> {
                 return ControlFlow::Break(());
             }
             let s = self.world.surface(hit.triangle, Vec2::new(hit.u, hit.v));
-            passed *= Vec3::splat(1.0 - s.alpha) + s.transmittance * s.alpha;
+            passed *= s.passed();
             if passed.max_element() <= 0.0 { ControlFlow::Break(()) } else { ControlFlow::Continue(()) }
         });
         if blocked { Vec3::ZERO } else { passed }

@@ -5,7 +5,6 @@ use super::ledger::EnergyLedger;
 use crate::accel::{self, Ray};
 use crate::light::Visibility;
 use crate::sampling::cosine_hemisphere;
-use crate::scene::SurfaceFlags;
 use glam::{Vec2, Vec3};
 
 /// A photon ends after this many surfaces, whatever the reflectance; what it carried is counted as cut.
@@ -54,14 +53,11 @@ pub fn walk(
             break;
         }
         let uv = Vec2::new(hit.u, hit.v);
-        let flags = world.flags[hit.triangle as usize];
-        let normal = world.normals[hit.triangle as usize];
-        let back = normal.dot(photon.ray.direction) > 0.0;
-        let receives = !back || flags.has(SurfaceFlags::DOUBLE_SIDED);
-        if receives {
+        let met = world.meet(hit.triangle, uv, photon.ray.direction);
+        if met.receives {
             trail.deposits.push(Deposit {
                 triangle: hit.triangle,
-                back,
+                back: met.back,
                 uv,
                 flux: photon.flux,
                 direction: photon.ray.direction,
@@ -69,18 +65,12 @@ pub fn walk(
             });
             add(&mut ledger.deposited, photon.flux);
             ledger.deposits += 1;
-        } else if !flags.has(SurfaceFlags::PASSES_LIGHT) {
+        } else if !met.passes {
             add(&mut ledger.back_absorbed, photon.flux);
             trail.backs.push((hit.triangle, photon.flux.iter().map(|&f| u64::from(f)).sum()));
             return;
         }
-        let s = world.surface(hit.triangle, uv);
-        let reflected = if receives { scale(photon.flux, s.albedo * s.alpha) } else { [0; 3] };
-        let passed = if flags.has(SurfaceFlags::PASSES_LIGHT) {
-            scale(photon.flux, Vec3::splat(1.0 - s.alpha) + s.transmittance * s.alpha)
-        } else {
-            [0; 3]
-        };
+        let (reflected, passed) = (scale(photon.flux, met.reflected), scale(photon.flux, met.passed));
         // Roulette by the largest channel: the photon goes on with one of the two, as heavy as before.
         let (largest, m_reflected, m_passed) = (max(photon.flux), max(reflected), max(passed));
         let r = u64::from(random()) * u64::from(largest);
@@ -92,7 +82,7 @@ pub fn walk(
             (None, [0; 3])
         };
         // What the surface keeps of both shares; a back side's keep is counted apart.
-        let kept = if receives { &mut ledger.absorbed } else { &mut ledger.back_absorbed };
+        let kept = if met.receives { &mut ledger.absorbed } else { &mut ledger.back_absorbed };
         for c in 0..3 {
             kept[c] += i128::from(photon.flux[c]) - i128::from(reflected[c]) - i128::from(passed[c]);
         }
@@ -106,12 +96,11 @@ pub fn walk(
         (0..3).for_each(|c| ledger.roulette[c] += i128::from(flux[c]) - expected[c]);
 
         gone = if reflects { 0.0 } else { gone + hit.t };
-        let facing = if back { -normal } else { normal };
         let (side, direction) = if reflects {
             let u = Vec2::new(crate::sampling::unit_f32(random()), crate::sampling::unit_f32(random()));
-            (facing, cosine_hemisphere(facing, u))
+            (met.facing, cosine_hemisphere(met.facing, u))
         } else {
-            (-facing, photon.ray.direction)
+            (-met.facing, photon.ray.direction)
         };
         let extent = world.extent(hit.triangle);
         let position = world.position(hit.triangle, uv);

@@ -22,7 +22,7 @@ pub use mesh::{Instance, Mesh, Primitive};
 pub use sky::Sky;
 pub(crate) use sky::sky_pixel;
 pub use texture::{ColorSpace, Texture, Wrap};
-pub use world::{Frame, SurfaceFlags, SurfacePoint, TriangleRef, World};
+pub use world::{Frame, Met, SurfaceFlags, SurfacePoint, TriangleRef, World};
 
 use crate::error::{SceneError, Warning};
 use std::path::Path;

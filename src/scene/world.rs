@@ -79,6 +79,35 @@ pub struct SurfacePoint {
     pub transmittance: Vec3,
 }
 
+impl SurfacePoint {
+    /// Share of light per channel that is reflected.
+    pub fn reflected(&self) -> Vec3 {
+        self.albedo * self.alpha
+    }
+
+    /// Share of light per channel that passes, beside the surface and through it.
+    pub fn passed(&self) -> Vec3 {
+        Vec3::splat(1.0 - self.alpha) + self.transmittance * self.alpha
+    }
+}
+
+/// What light that comes along a direction meets at a point of a triangle.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Met {
+    /// It is the back of the triangle.
+    pub back: bool,
+    /// Unit geometric normal of the side that is met.
+    pub facing: Vec3,
+    /// Light falls on that side: else it is the back of a one-sided surface.
+    pub receives: bool,
+    /// Light may pass.
+    pub passes: bool,
+    /// Share per channel that is reflected; 0 where that side does not receive.
+    pub reflected: Vec3,
+    /// Share per channel that passes.
+    pub passed: Vec3,
+}
+
 /// World triangles of all instances. Triangle ids count through the instances in order, each with all its
 /// primitives' triangles (degenerate ones included).
 #[derive(Debug)]
@@ -214,6 +243,22 @@ impl<'s> World<'s> {
         }
         // A normal that looks to the back of its own triangle is a fault of the file.
         if n.dot(geometric) < 1e-3 { geometric } else { n }
+    }
+
+    /// What light along `direction` meets at a point of a triangle. The material is looked up only if it matters.
+    pub fn meet(&self, triangle: u32, uv: Vec2, direction: Vec3) -> Met {
+        let (flags, normal) = (self.flags[triangle as usize], self.normals[triangle as usize]);
+        let back = normal.dot(direction) > 0.0;
+        let receives = !back || flags.has(SurfaceFlags::DOUBLE_SIDED);
+        let passes = flags.has(SurfaceFlags::PASSES_LIGHT);
+        let facing = if back { -normal } else { normal };
+        let mut met = Met { back, facing, receives, passes, reflected: Vec3::ZERO, passed: Vec3::ZERO };
+        if receives || passes {
+            let surface = self.surface(triangle, uv);
+            met.reflected = if receives { surface.reflected() } else { Vec3::ZERO };
+            met.passed = if passes { surface.passed() } else { Vec3::ZERO };
+        }
+        met
     }
 
     /// What the material says at a point of a triangle.

@@ -10,4 +10,5 @@ pub mod random;
 pub mod rooms;
 pub mod runs;
 pub mod scene_tracer;
+pub mod stage;
 pub mod statistics;

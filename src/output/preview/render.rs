@@ -106,7 +106,7 @@ impl<F: Fn(&Ray) -> Option<Hit>> View<'_, F> {
                 let e = self.irradiance(hit.triangle, uv, back);
                 surface_seen |= surface.alpha > 0.0;
                 light += throughput * surface.alpha * (surface.albedo * e * FRAC_1_PI + surface.emission);
-                throughput *= 1.0 - surface.alpha + surface.alpha * surface.transmittance;
+                throughput *= surface.passed();
             }
             // Less than half a step of an 8-bit image is left.
             if throughput.max_element() < 1.0 / 512.0 {
