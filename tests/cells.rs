@@ -182,8 +182,9 @@ fn no_cell_reaches_through_a_wall() {
             scene.sky = Some(Sky::Constant(Vec3::splat(1e6)));
         }
         // From the first few photons on. Points on the edges of floor and ceiling, in the planes of walls, must not see
-        // the sky behind them: where they did, once in ten thousand, 5 of these bakes failed.
-        for (photons, seed) in [(1 << 13, 1), (1 << 17, 1), (1 << 13, 3), (1 << 17, 3), (1 << 17, 4), (1 << 17, 5)] {
+        // the sky behind them, nor points beside a wall what is on its other side: where they did, once in ten
+        // thousand, 10 of these bakes failed.
+        for (photons, seed) in (1..9).flat_map(|seed| [(1 << 13, seed), (1 << 17, seed)]) {
             let options = BakeOptions {
                 seed,
                 max_photons: Some(photons),
