@@ -62,6 +62,10 @@ fn a_true_map_has_no_error_and_a_planted_error_is_found() {
     let off = rough.mean_difference_percent;
     assert!(off.abs() < 3.0 * rough.mean_difference_deviation, "{rough:?}");
 
+    // Above the target by five standard errors is above it.
+    let just = audit_furnace(Effort::Texels(400), |i| if i % 2 == 0 { 0.024 } else { -0.024 });
+    assert_eq!(just.verdict, Verdict::AboveTarget, "{just:?}");
+
     // 2 % too little everywhere: the halves agree, and nothing but an audit can tell.
     let dark = audit_furnace(Effort::Texels(400), |_| -0.02);
     assert!((dark.mean_difference_percent + 2.0).abs() < 3.0 * dark.mean_difference_deviation, "{dark:?}");

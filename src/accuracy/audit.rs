@@ -159,7 +159,7 @@ impl Auditor<'_> {
         let error = |deviations: f64| percent(square.mean() + deviations * square.deviation());
         let [low, high] = [error(-TWO_SIDED_95), error(TWO_SIDED_95)];
         let resolution = percent(TWO_SIDED_95 * square.deviation());
-        let verdict = if low > stated.high && error(-SURE * TWO_SIDED_95) > target {
+        let verdict = if low > stated.high && error(-SURE) > target {
             Verdict::AboveTarget
         } else if low > stated.high {
             Verdict::Understated
