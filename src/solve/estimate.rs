@@ -135,14 +135,16 @@ impl Solver<'_, '_> {
             sum.indirect += square(indirect.difference(i));
             *starts += start_noise * square(indirect.mean(i));
         }
-        let split = |((sum, starts), bias): ((Squares, f64), &Bias)| {
+        let split = |(instance, ((sum, starts), bias)): (usize, ((Squares, f64), &Bias))| {
             let starts = sum.indirect.min(starts);
             let photons = sum.indirect - starts;
-            // Bias is smoothed noise: of what is noisier there is more.
-            let of_sky = sum.soft / (sum.soft + photons).max(1e-300) * bias.likely();
+            // Bias is smoothed noise: of what is noisier there is more. What is gathered is not smoothed: called its own,
+            // the bias of the sky had photons asked for that could not lower it.
+            let smooth = if self.gathered_at[instance].0 > 0 { 0.0 } else { photons };
+            let of_sky = if sum.soft > 0.0 { sum.soft / (sum.soft + smooth) * bias.likely() } else { 0.0 };
             Squares { apart: sum.apart + starts, soft: sum.soft + of_sky, indirect: photons + bias.likely() - of_sky }
         };
-        sums.into_iter().zip(biases).map(split).collect()
+        sums.into_iter().zip(biases).enumerate().map(split).collect()
     }
 
     /// Squared error that too few gather rays leave in each instance, times its weight.
