@@ -100,7 +100,7 @@ impl Solver<'_, '_> {
             direct_samples: self.direct.all_samples(),
             direct_rays: self.direct.rays(),
             gather_rays: self.gather_rays,
-            gathered_meshes: self.gathered_at.iter().filter(|at| at.0 > 0).count(),
+            gathered_meshes: (0..instances).filter(|&i| self.has_gathered(i)).count(),
             ledger: self.ledger,
             back_flux: self.bins.back_flux(),
             unit: self.flux.map_or(0.0, |f| f.unit),
@@ -136,8 +136,8 @@ impl Solver<'_, '_> {
             let photons = sum.indirect - starts;
             // Bias is smoothed noise: of what is noisier there is more. What is gathered is not smoothed: called its own,
             // the bias of the sky had photons asked for that could not lower it.
-            let smooth = if self.gathered_at[instance].0 > 0 { 0.0 } else { photons };
-            let of_sky = if sum.soft > 0.0 { sum.soft / (sum.soft + smooth) * bias.likely() } else { 0.0 };
+            let smooth = if self.has_gathered(instance) { 0.0 } else { photons };
+            let of_sky = sum.soft / (sum.soft + smooth).max(1e-300) * bias.likely();
             Squares { apart: sum.apart + starts, soft: sum.soft + of_sky, indirect: photons + bias.likely() - of_sky }
         };
         sums.into_iter().zip(biases).enumerate().map(split).collect()

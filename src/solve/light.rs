@@ -63,7 +63,7 @@ impl Solver<'_, '_> {
         let elements = &self.path.tree.elements;
         let by_photons = |k: usize| {
             let instance = self.weights.instance[elements[k].texel as usize];
-            if self.gathered_at[instance as usize].0 > 0 { 0.0 } else { 1.0 }
+            if self.has_gathered(instance as usize) { 0.0 } else { 1.0 }
         };
         let both = |k: usize, photons: Vec3, sky: Option<Vec3>| photons * by_photons(k) + sky.unwrap_or_default();
         let values = [0, 1].map(|h| {
@@ -153,8 +153,7 @@ impl Solver<'_, '_> {
         if done {
             fresh.iter().for_each(|&(instance, state)| self.gathered_at[instance] = state);
         }
-        let gathers = |e: &Element| self.gathered_at[instance(e.texel)].0 > 0;
-        for (k, e) in tree.elements.iter().enumerate().filter(|(_, e)| gathers(e)) {
+        for (k, e) in tree.elements.iter().enumerate().filter(|(_, e)| self.has_gathered(instance(e.texel))) {
             let light = self.kept[&e.texel];
             (0..2).for_each(|h| found.values[h][k] = light[h].light);
             if let Some(cell) = found.cell_of.get_mut(k) {
@@ -162,6 +161,11 @@ impl Solver<'_, '_> {
             }
         }
         Ok(())
+    }
+
+    /// Whether the indirect light of an instance is gathered, not that of photons.
+    pub(super) fn has_gathered(&self, instance: usize) -> bool {
+        self.gathered_at[instance].0 > 0
     }
 
     /// Light of the texels in two halves from that of the elements.
