@@ -182,9 +182,9 @@ fn no_cell_reaches_through_a_wall() {
             scene.sky = Some(Sky::Constant(Vec3::splat(1e6)));
         }
         // From the first few photons on. Points on the edges of floor and ceiling, in the planes of walls, must not see
-        // the sky behind them, nor points beside a wall what is on its other side: where they did, once in ten
-        // thousand, 10 of these bakes failed.
-        for (photons, seed) in (1..9).flat_map(|seed| [(1 << 13, seed), (1 << 17, seed)]) {
+        // the sky behind them, nor points beside a wall what is on its other side; a photon that rounding puts beyond
+        // the wall has not been there; no wall may go unnoticed because all of a few rays from beside it meet its back.
+        for (photons, seed) in (1..33).flat_map(|seed| [(1 << 13, seed), (1 << 17, seed)]) {
             let options = BakeOptions {
                 seed,
                 max_photons: Some(photons),

@@ -114,7 +114,8 @@ impl Gather<'_> {
             if !receives && !passes {
                 return sum;
             }
-            let texel = if receives { texels.at(hit.triangle, back, uv) } else { None };
+            let before = || world.hair_before(hit.triangle, uv, ray.direction);
+            let texel = if receives { texels.at(hit.triangle, back, before()) } else { None };
             let mut reflected = albedo;
             if let Some(texel) = texel {
                 let texel = texel as usize;

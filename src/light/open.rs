@@ -31,8 +31,12 @@ pub const COVER: f32 = 1.0 / 32.0;
 /// where three sheets meet [frame units].
 const LEAST_COVER: f32 = 3.0 * PARTING;
 
-/// Rays that must all meet backs or a cover for a point to be buried.
+/// Rays that must all meet backs or a cover for a point to be buried, ...
 const RAYS: u32 = 6;
+
+/// ... and for the first buried point of a texel, which makes it one of the few: from beside the back of a one-sided
+/// wall half of all rays meet it, so that by six of them alone one of 64 such points would pass for buried.
+const FIRST_RAYS: u32 = 32;
 
 /// Open share of the area of each texel of the map, in [0, 1], and the number of rays traced.
 ///
@@ -41,7 +45,7 @@ const RAYS: u32 = 6;
 pub fn open_shares(texels: &Texels, visibility: &Visibility, seed: u64) -> (Vec<f32>, u64) {
     let found: Vec<(bool, u64)> = map_texels(texels, |sampler, id| {
         let mut probe = Probe::new(texels, visibility, sampler, seed, id);
-        ((0..FIRST_POINTS).any(|k| probe.buried(k)), probe.rays)
+        ((0..FIRST_POINTS).any(|k| probe.buried(k, FIRST_RAYS)), probe.rays)
     });
     let beside = |id: usize| texels.around(id).any(|n| found[n].0);
     let shares: Vec<(f32, u64)> = map_texels(texels, |sampler, id| {
@@ -110,8 +114,8 @@ impl<'a> Probe<'a> {
         Probe { visibility, sampler, back: t.back, cover: cover_height(t.area), scramble, rays: 0 }
     }
 
-    /// Whether all rays from point `k` meet backs or a cover.
-    fn buried(&mut self, k: u32) -> bool {
+    /// Whether all of `rays` rays from point `k` meet backs or a cover.
+    fn buried(&mut self, k: u32, rays: u32) -> bool {
         let u = |d: usize| unit_f32(sobol(k, d, self.scramble));
         let (triangle, uv) = self.sampler.sample(Vec2::new(u(0), u(1)));
         let at = Receiver::new(self.visibility.world, triangle, uv, self.back, false);
@@ -119,19 +123,19 @@ impl<'a> Probe<'a> {
         if cover_above(self.visibility, &at, self.cover).is_some() {
             return true;
         }
-        (0..RAYS).all(|j| {
+        (0..rays).all(|j| {
             self.rays += 1;
-            let v = |d| unit_f32(sobol(k * RAYS + j, d, self.scramble));
+            let v = |d| unit_f32(sobol(k * rays + j, d, self.scramble));
             blind(self.visibility, &at, Vec2::new(v(2), v(3)), self.cover)
         })
     }
 
     /// Share of the points that are not buried, 1 where `known` says nothing and none of the first is.
     fn open_share(&mut self, known: bool) -> f32 {
-        if !known && !(0..SECOND_POINTS).any(|k| self.buried(k)) {
+        if !known && !(0..SECOND_POINTS).any(|k| self.buried(k, FIRST_RAYS)) {
             return 1.0;
         }
-        let n = (0..POINTS).filter(|&k| self.buried(k)).count();
+        let n = (0..POINTS).filter(|&k| self.buried(k, RAYS)).count();
         1.0 - n as f32 / POINTS as f32
     }
 }

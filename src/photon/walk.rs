@@ -58,7 +58,7 @@ pub fn walk(
             trail.deposits.push(Deposit {
                 triangle: hit.triangle,
                 back: met.back,
-                uv,
+                uv: world.hair_before(hit.triangle, uv, photon.ray.direction),
                 flux: photon.flux,
                 direction: photon.ray.direction,
                 distance: gone + hit.t,

@@ -133,6 +133,9 @@ pub struct World<'s> {
 /// Triangles smaller than this in the frame [frame units squared] are degenerate.
 const MIN_AREA: f64 = 1e-20;
 
+/// Length of a hair, in units of a triangle's largest |coordinate|: ten times what rounding moves a point by.
+const HAIR: f32 = 32.0 * f32::EPSILON;
+
 impl<'s> World<'s> {
     /// Flattens `scene`.
     pub fn new(scene: &'s Scene) -> World<'s> {
@@ -212,6 +215,21 @@ impl<'s> World<'s> {
     pub fn position(&self, triangle: u32, uv: Vec2) -> Vec3 {
         let [a, b, c] = self.positions[triangle as usize];
         a * (1.0 - uv.x - uv.y) + b * uv.x + c * uv.y
+    }
+
+    /// Barycentric weights of the point of a triangle that lies a hair, a few roundings, before `uv` on a way along
+    /// `direction`. Next to a wall that stands on the triangle, rounding may put a point where light arrives on the
+    /// wall's far side; this one is where the light has been.
+    pub fn hair_before(&self, triangle: u32, uv: Vec2, direction: Vec3) -> Vec2 {
+        let [a, b, c] = self.positions[triangle as usize];
+        let (ab, ac) = (b - a, c - a);
+        let normal = ab.cross(ac);
+        let hair = HAIR * a.abs().max(b.abs()).max(c.abs()).max_element() / normal.length_squared();
+        let back = -direction * hair;
+        let moved = uv + Vec2::new(back.cross(ac).dot(normal), ab.cross(back).dot(normal));
+        let inside = moved.max(Vec2::ZERO);
+        let sum = inside.element_sum().max(1.0);
+        if moved.is_finite() { inside / sum } else { uv }
     }
 
     /// The primitive of a triangle and its vertex indices.
