@@ -13,9 +13,6 @@ pub struct Bias {
     pub variance: f64,
 }
 
-/// Bias is looked for in at least so many blocks, or in every element.
-const LEAST_BLOCKS: usize = 256;
-
 impl Bias {
     /// What the bias may well be: its square and one standard error. Where photons are too few to show whether a
     /// mesh is right, this says so.
@@ -36,8 +33,7 @@ impl Bias {
 /// `(R_odd - r_odd) (R_even - r_even)` has the product of both biases as its expectation, however the cells were
 /// chosen: with sigma from the difference of the halves it adds up to the squared error of the mean. On single
 /// texels r is too noisy to see it, so means over `blocks` are taken, halved `depth` times, for the bias of a plane
-/// changes sign within its cell, and more often where that gives too few of them: a cell may be a whole room. What
-/// averages out within one goes unseen. `values` are the irradiances R (lux) and
+/// changes sign within its cell. What averages out within one goes unseen. `values` are the irradiances R (lux) and
 /// `caught` the flux that r is of.
 pub fn bias(
     tree: &SurfaceTree,
@@ -49,11 +45,9 @@ pub fn bias(
     weight: impl Fn(usize) -> (f64, u32) + Sync,
 ) -> Vec<Bias> {
     let mut blocks: Vec<Node> = blocks.to_vec();
-    let mut halved = 0;
-    while halved < depth || blocks.len() < LEAST_BLOCKS.min(tree.elements.len()) {
+    for _ in 0..depth {
         let halve = |n: Node| tree.children(&n).map_or_else(|| vec![n], |pair| pair.to_vec());
         blocks = blocks.into_iter().flat_map(halve).collect();
-        halved += 1;
     }
     // Mean squared bias of each block, and the weight of the groups in it: few.
     let terms: Vec<(f64, Vec<(u32, f64)>)> = blocks

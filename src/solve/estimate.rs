@@ -13,6 +13,9 @@ use glam::Vec3;
 /// Bias is looked for in sixteenths of a cell: in quarters, a third of its square goes unseen.
 const BIAS_DEPTH: u32 = 4;
 
+/// ... or finer, in so many blocks: a cell may be a whole room.
+const LEAST_BLOCKS: usize = 256;
+
 /// ... and of a mesh, which has few cells, in quarters, where it drowns less in noise.
 const MESH_BIAS_DEPTH: u32 = 2;
 
@@ -47,7 +50,8 @@ impl Solver<'_, '_> {
             Smoothing::Cells => smoothed.bias(tree, instances, depth, weight),
             Smoothing::None => vec![Bias::default(); instances + 1],
         };
-        let whole_bias = biases(BIAS_DEPTH)[instances];
+        let depth = BIAS_DEPTH.max(LEAST_BLOCKS.div_ceil(smoothed.blocks.len().max(1)).next_power_of_two().ilog2());
+        let whole_bias = biases(depth)[instances];
         let biases = biases(MESH_BIAS_DEPTH);
         let error = texel_error(&Known {
             direct: &direct,
