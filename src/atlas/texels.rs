@@ -136,7 +136,9 @@ impl Texels {
         if table.is_empty() {
             return None;
         }
-        let p = t.corners[0] * (1.0 - uv.x - uv.y) + t.corners[1] * uv.x + t.corners[2] * uv.y;
+        // In f64: a point just before a texel's border stays there.
+        let (uv, [a, b, c]) = (uv.as_dvec2(), t.corners.map(|c| c.as_dvec2()));
+        let p = a + (b - a) * uv.x + (c - a) * uv.y;
         let x = (p.x.max(0.0) as u32).min(t.width - 1);
         let y = (p.y.max(0.0) as u32).min(t.height - 1);
         let id = table[(t.base + y * t.width + x) as usize];
@@ -507,7 +509,16 @@ fn morton(x: u32, y: u32) -> u32 {
 pub struct TexelSampler {
     fans: Vec<Fan>,
     square: Option<Fan>,
+    /// Share of a piece's size that stays free along its border.
+    margin: f32,
 }
+
+/// Points stay away from the border of a texel's pieces by some roundings [frame units]: a wall that stands there is
+/// never between a point and where rounding puts it, ...
+const AWAY: f32 = 8e-6;
+
+/// ... but for no more than this share of the texel's side.
+const MOST_MARGIN: f32 = 0.01;
 
 /// A triangle of barycentric coordinates, or a parallelogram where it stands for a whole cell.
 #[derive(Debug, Clone, Copy)]
@@ -515,6 +526,8 @@ struct Fan {
     triangle: u32,
     corner: Vec2,
     edges: [Vec2; 2],
+    /// Middle of the piece that it is a part of.
+    middle: Vec2,
     /// Share of the texel's area up to and including this one.
     cumulative: f32,
 }
@@ -525,6 +538,7 @@ impl TexelSampler {
         self.fans.clear();
         self.square = None;
         let t = &texels.texels[texel];
+        self.margin = (AWAY / t.area.sqrt()).min(MOST_MARGIN);
         let total: f64 = texels.pieces_of(texel).iter().map(|p| f64::from(p.area)).sum();
         let mut cumulative = 0.0f64;
         for piece in texels.pieces_of(texel) {
@@ -547,6 +561,7 @@ impl TexelSampler {
                     triangle: piece.triangle,
                     corner,
                     edges: [Vec2::ZERO; 2],
+                    middle: corner,
                     cumulative: cumulative as f32,
                 });
                 continue;
@@ -559,11 +574,13 @@ impl TexelSampler {
                     triangle: piece.triangle,
                     corner: corner.as_vec2(),
                     edges: edges.map(|e| e.as_vec2()),
+                    middle: (corner + (edges[0] + edges[1]) * 0.5).as_vec2(),
                     cumulative: 1.0,
                 });
                 return;
             }
             let points = cell.points();
+            let middle = barycentric(points.iter().sum::<DVec2>() / points.len() as f64).as_vec2();
             for i in 2..points.len() {
                 let share = 0.5 * (points[i - 1] - points[0]).perp_dot(points[i] - points[0]).abs() / area;
                 cumulative += share * f64::from(piece.area) / total;
@@ -573,6 +590,7 @@ impl TexelSampler {
                     triangle: piece.triangle,
                     corner: corner.as_vec2(),
                     edges: edges.map(|e| e.as_vec2()),
+                    middle,
                     cumulative: cumulative as f32,
                 });
             }
@@ -583,8 +601,7 @@ impl TexelSampler {
     /// its triangles where they cancel. [`load`](Self::load) must have been called.
     pub fn centre(&self, world: &World) -> (Vec3, Vec3) {
         if let Some(s) = &self.square {
-            let middle = inside(s.corner + (s.edges[0] + s.edges[1]) * 0.5);
-            return (world.position(s.triangle, middle), world.normals[s.triangle as usize]);
+            return (world.position(s.triangle, inside(s.middle)), world.normals[s.triangle as usize]);
         }
         let (mut position, mut normal, mut below) = (Vec3::ZERO, Vec3::ZERO, 0.0);
         for f in &self.fans {
@@ -602,6 +619,7 @@ impl TexelSampler {
     /// have been called.
     pub fn sample(&self, u: Vec2) -> (u32, Vec2) {
         if let Some(s) = &self.square {
+            let u = u * (1.0 - 2.0 * self.margin) + self.margin;
             return (s.triangle, inside(s.corner + s.edges[0] * u.x + s.edges[1] * u.y));
         }
         let last = self.fans.len() - 1;
@@ -610,7 +628,9 @@ impl TexelSampler {
         let f = &self.fans[i];
         let x = ((u.x - below) / (f.cumulative - below).max(1e-20)).clamp(0.0, 1.0);
         let w = crate::sampling::uniform_triangle(Vec2::new(x, u.y));
-        (f.triangle, inside(f.corner + f.edges[0] * w.x + f.edges[1] * w.y))
+        let point = f.corner + f.edges[0] * w.x + f.edges[1] * w.y;
+        // A third of a triangle's height lies below its middle.
+        (f.triangle, inside(point + (f.middle - point) * (3.0 * self.margin).min(2.0 * MOST_MARGIN)))
     }
 }
 

@@ -13,13 +13,6 @@ use rayon::prelude::*;
 /// Start points kept per texel and half.
 pub const START_SLOTS: usize = 2;
 
-/// Samples stay further away from the border of a whole texel than origins move aside [frame units]: a wall that stands
-/// there is never between a point and where it is lit, ...
-const AWAY: f32 = 8e-6;
-
-/// ... but for no more than this share of the texel's side.
-const MOST_MARGIN: f32 = 0.01;
-
 /// Texels per task.
 const CHUNK: usize = 256;
 
@@ -83,8 +76,7 @@ impl TexelLight<'_> {
     /// two random numbers. A look for a cover is added to `rays`.
     pub fn point(&self, texel: usize, sampler: &TexelSampler, u: Vec2, rays: &mut u64) -> Option<Receiver> {
         let t = &self.texels.texels[texel];
-        let margin = (AWAY / t.area.sqrt()).min(MOST_MARGIN);
-        let (triangle, uv) = sampler.sample(u * (1.0 - 2.0 * margin) + margin);
+        let (triangle, uv) = sampler.sample(u);
         let at = Receiver::new(self.visibility.world, triangle, uv, t.back, self.smooth);
         let Some(height) = self.open.get(texel).and_then(|&open| cover_in_part(open, t.area)) else { return Some(at) };
         *rays += 1;

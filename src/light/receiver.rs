@@ -19,12 +19,6 @@ pub struct Receiver {
     pub shading_normal: Vec3,
 }
 
-/// A point inside every triangle, off its lines of symmetry, in barycentric weights: origins move towards it, ...
-const INNER: [f32; 3] = [0.41, 0.33, 0.26];
-
-/// ... by this share of their height.
-const ASIDE: f32 = 0.71;
-
 impl Receiver {
     /// The point of `triangle` at `uv`, seen from its front or back.
     pub fn new(world: &World, triangle: u32, uv: Vec2, back: bool, smooth: bool) -> Receiver {
@@ -33,13 +27,6 @@ impl Receiver {
         let shading_normal = if smooth { world.shading_normal(triangle, uv) * side } else { geometric_normal };
         let position = world.position(triangle, uv);
         let origin = accel::offset_origin(position, geometric_normal, world.extent(triangle));
-        // Rounding gathers points on a coarse lattice, so that some lie exactly in the plane of a wall that stands
-        // on this surface and would see both its sides. As far aside as the origin is above, they lie on one: further
-        // inside the triangle, since a wall that stands on its edge is often the border to bright daylight.
-        let [a, b, c] = world.positions[triangle as usize];
-        let inwards = a * INNER[0] + b * INNER[1] + c * INNER[2] - position;
-        let aside = (ASIDE * (origin - position).length() / inwards.length().max(f32::MIN_POSITIVE)).min(1.0);
-        let origin = origin + inwards * aside;
         Receiver { triangle, uv, origin, geometric_normal, shading_normal }
     }
 

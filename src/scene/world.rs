@@ -136,6 +136,9 @@ const MIN_AREA: f64 = 1e-20;
 /// Length of a hair, in units of a triangle's largest |coordinate|: ten times what rounding moves a point by.
 const HAIR: f32 = 32.0 * f32::EPSILON;
 
+/// A point inside every triangle, off its lines of symmetry: weights of the second and third corner.
+const INNER: Vec2 = Vec2::new(0.33, 0.26);
+
 impl<'s> World<'s> {
     /// Flattens `scene`.
     pub fn new(scene: &'s Scene) -> World<'s> {
@@ -219,17 +222,21 @@ impl<'s> World<'s> {
 
     /// Barycentric weights of the point of a triangle that lies a hair, a few roundings, before `uv` on a way along
     /// `direction`. Next to a wall that stands on the triangle, rounding may put a point where light arrives on the
-    /// wall's far side; this one is where the light has been.
+    /// wall's far side; this one is where the light has been. Beside an edge that the light came over, it is a hair
+    /// inside: a wall that stands on an edge is often the border to bright daylight.
     pub fn hair_before(&self, triangle: u32, uv: Vec2, direction: Vec3) -> Vec2 {
         let [a, b, c] = self.positions[triangle as usize];
         let (ab, ac) = (b - a, c - a);
         let normal = ab.cross(ac);
-        let hair = HAIR * a.abs().max(b.abs()).max(c.abs()).max_element() / normal.length_squared();
-        let back = -direction * hair;
+        let hair = HAIR * a.abs().max(b.abs()).max(c.abs()).max_element();
+        let back = direction * (-hair / normal.length_squared());
         let moved = uv + Vec2::new(back.cross(ac).dot(normal), ab.cross(back).dot(normal));
-        let inside = moved.max(Vec2::ZERO);
-        let sum = inside.element_sum().max(1.0);
-        if moved.is_finite() { inside / sum } else { uv }
+        if moved.min_element() >= 0.0 && moved.element_sum() <= 1.0 {
+            return moved;
+        }
+        let inwards = INNER - uv;
+        let way = (ab * inwards.x + ac * inwards.y).length();
+        uv + inwards * (hair / way).min(1.0)
     }
 
     /// The primitive of a triangle and its vertex indices.
