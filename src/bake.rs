@@ -61,8 +61,8 @@ fn bake_here<'s>(scene: &'s Scene, options: &BakeOptions, observer: &mut dyn Obs
 
     let go_on = |observer: &dyn Observer| if observer.cancelled() { Err(BakeError::Cancelled) } else { Ok(()) };
     observer.stage(Stage::Prepare);
-    atlas::check_memory(scene, &atlas, options.memory_limit)?;
     let mut world = World::new(scene);
+    atlas::check_memory(&world, &atlas, options.memory_limit)?;
     let parted = part_coincident(&mut world);
     let texels = Texels::new(&world, &atlas);
     seconds.texels = clock.lap();
@@ -113,6 +113,11 @@ fn bake_here<'s>(scene: &'s Scene, options: &BakeOptions, observer: &mut dyn Obs
         report.warnings.push(Warning::new(
             "no-light",
             "nothing in the scene emits: the maps are black; add a light, an emissive material, --sky or --sun",
+        ));
+    } else if report.mean_irradiance <= 0.0 {
+        report.warnings.push(Warning::new(
+            "no-light-arrives",
+            "no sample found any light: the maps are black; look whether walls shut the lights in or out",
         ));
     }
     seconds.finish = clock.lap();
@@ -213,13 +218,13 @@ fn audit(
     began: Instant,
     observer: &mut dyn Observer,
 ) -> Result<Result<Audit, &'static str>, BakeError> {
+    const LATE: &str = "audit: the time limit had passed";
+    let late = || options.time_limit.is_some_and(|t| began.elapsed().as_secs_f64() > t);
     let rays = solution.history.last().map_or(0, |h| h.rays);
     let effort = match options.audit {
         Audits::Off => return Ok(Err("audit: not asked for")),
         _ if solution.error.mean <= 0.0 => return Ok(Err("audit: the maps are black")),
-        _ if options.time_limit.is_some_and(|t| began.elapsed().as_secs_f64() > t) => {
-            return Ok(Err("audit: the time limit had passed"));
-        }
+        _ if late() => return Ok(Err(LATE)),
         Audits::Auto => Effort::Rays(LEAST_AUDIT.max((AUDIT_SHARE * rays as f64) as u64)),
         Audits::Texels(n) => Effort::Texels(n),
     };
@@ -232,8 +237,12 @@ fn audit(
         whole: options.texel_value == TexelValue::Mean,
         crevice: path.crevice,
     };
-    let go_on = || !observer.cancelled();
-    auditor.run(effort, &solution.error, options.target_percent, &go_on).ok_or(BakeError::Cancelled).map(Ok)
+    let go_on = || !observer.cancelled() && !late();
+    match auditor.run(effort, &solution.error, options.target_percent, &go_on) {
+        Some(audit) => Ok(Ok(audit)),
+        None if observer.cancelled() => Err(BakeError::Cancelled),
+        None => Ok(Err(LATE)),
+    }
 }
 
 /// Share of all photons' flux that the backs of one node must meet to be worth a warning.

@@ -251,9 +251,9 @@ impl BakeOptions {
             return fail("--sky-scale must be 0 or more, --sky-rotation a number".into());
         }
         if let Some(SkySource::Constant(l)) = &self.sky
-            && !(l.is_finite() && l.min_element() >= 0.0)
+            && !((*l * self.sky_scale).is_finite() && l.min_element() >= 0.0)
         {
-            return fail(format!("--sky {},{},{}: radiance must be 0 or more", l.x, l.y, l.z));
+            return fail(format!("--sky {},{},{}: radiance times --sky-scale must be a number from 0", l.x, l.y, l.z));
         }
         if let Audits::Texels(n) = self.audit
             && !(2..=MAX_AUDITED).contains(&n)

@@ -24,7 +24,7 @@ pub struct Report {
     /// Both targets are met.
     pub target_met: bool,
     /// What ended the bake where a target is not met: `time-limit`, `max-photons`, `samples`; `audit` where
-    /// path tracing contradicts the stated error.
+    /// path tracing finds an error above the target.
     pub limit: Option<&'static str>,
     /// Noise of the stored mean: sqrt( sum a (E_odd - E_even)^2 / (4 sum a) ) over the mean.
     pub sigma: f64,
@@ -211,7 +211,7 @@ pub struct Seconds {
     pub open: f64,
     /// Direct light.
     pub direct: f64,
-    /// Photons.
+    /// Photons, and rays that gather their light.
     pub photons: f64,
     /// Estimating errors.
     pub estimate: f64,

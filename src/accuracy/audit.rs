@@ -2,8 +2,8 @@
 //!
 //! Each texel gets two estimates V1, V2 of its irradiance E that know nothing of each other nor of the map. The
 //! noise of both cancels in the mean of (X - V1)(X - V2), which is that of (X - E)^2: the squared error of what is
-//! stored, X, with all that the halves cannot show. No photons, cells or caches take part; geometry, materials and
-//! emitters are the ones that the map was made with.
+//! stored, X, with all that the halves cannot show. No photons, cells or caches take part; geometry, materials,
+//! emitters and the open shares of texels are the ones that the map was made with.
 
 use super::estimate::{Halves, TexelError, TexelWeights};
 use super::interval::TWO_SIDED_95;

@@ -128,11 +128,25 @@ pub struct Known<'a> {
     pub blocks: &'a [Node],
     /// Its squared bias over all.
     pub bias: Bias,
+    /// Squared relative noise that all indirect light has in common.
+    pub start_noise: f64,
+}
+
+impl Known<'_> {
+    /// Sum over the texels of weight times squared indirect light, mean over the channels.
+    fn indirect_square(&self) -> f64 {
+        if self.start_noise == 0.0 {
+            return 0.0;
+        }
+        let of = |(i, w): (usize, &f64)| w * f64::from(self.indirect.mean(i).length_squared()) / 3.0;
+        self.weights.weight.iter().enumerate().filter(|w| *w.1 > 0.0).map(of).sum()
+    }
 }
 
 #[derive(Clone, Copy, Default)]
 struct Sums {
     weight: f64,
+    square_weight: f64,
     e: f64,
     y: f64,
     square: f64,
@@ -157,6 +171,7 @@ pub fn texel_error(known: &Known) -> TexelError {
                 if w > 0.0 {
                     let (d, e) = (total.difference(i), total.mean(i));
                     s.weight += w;
+                    s.square_weight += w * w;
                     s.e += w * f64::from(e.element_sum()) / 3.0;
                     s.y += w * luminance(e);
                     s.square += w * third(d);
@@ -177,8 +192,12 @@ pub fn texel_error(known: &Known) -> TexelError {
     let mean = mean / weight;
     let percent = |square: f64| 100.0 * (square.max(0.0) / weight).sqrt() / mean;
     // Upper and lower end of the noise, taken as chi-square.
-    let variance = apart_variance(&blocks) + smoothed_variance(known);
-    let nu = if variance > 0.0 { (2.0 * square * square / variance).clamp(3.0, 1e6) } else { 1e6 };
+    let common = known.start_noise * known.indirect_square();
+    let variance = apart_variance(&blocks) + smoothed_variance(known) + 2.0 * common * common;
+    // Never more degrees of freedom than texels that count.
+    let texels = weight * weight / sum(|s| s.square_weight);
+    let nu = if variance > 0.0 { 2.0 * square * square / variance } else { f64::INFINITY };
+    let nu = nu.min(texels).clamp(3.0, 1e6);
     let noise_low = square * nu / chi_square_quantile(0.975, nu);
     let noise_high = square * nu / chi_square_quantile(0.025, nu);
     let spread = TWO_SIDED_95 * known.bias.variance.sqrt();
@@ -203,7 +222,12 @@ pub fn texel_error(known: &Known) -> TexelError {
 /// Variance of the sum of the squared noise of texels that err apart: neighbouring blocks are compared, in which what
 /// varies slowly over the atlas cancels.
 fn apart_variance(blocks: &[Sums]) -> f64 {
-    blocks.chunks_exact(2).map(|p| (p[0].apart - p[1].apart).powi(2)).sum()
+    let pairs: f64 = blocks.chunks_exact(2).map(|p| (p[0].apart - p[1].apart).powi(2)).sum();
+    let last = match blocks {
+        [.., a, b] if blocks.len() % 2 == 1 => (a.apart - b.apart).powi(2),
+        _ => 0.0,
+    };
+    pairs + last
 }
 
 /// Variance of the sum of the squared noise of the smoothed light, from what each block adds to it.

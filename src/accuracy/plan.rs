@@ -102,8 +102,9 @@ const CHEAP: f64 = 0.02;
 pub const GATHER_AGAIN: u64 = 4;
 
 /// The cheapest way for all of `missed` but the `spared` dearest: more photons serve all, gathering serves one
-/// mesh for rays in proportion to its texels. `target` is the meshes' target as a fraction.
-pub fn plan_meshes(missed: &[Missed], spared: usize, target: f64, photon_cost: f64) -> MeshPlan {
+/// mesh for rays in proportion to its texels. `target` is the meshes' target as a fraction, `anyway` the factor by which
+/// there will be more photons for the sake of the whole.
+pub fn plan_meshes(missed: &[Missed], spared: usize, target: f64, photon_cost: f64, anyway: f64) -> MeshPlan {
     /// Half of the squared target for direct light, half for indirect light.
     const SHARE: f64 = 0.5;
     let first = (GATHER_SCATTER / (2.0 * SHARE * target * target)).clamp(*GATHER_RANGE.start(), *GATHER_RANGE.end());
@@ -126,7 +127,7 @@ pub fn plan_meshes(missed: &[Missed], spared: usize, target: f64, photon_cost: f
     let meshes = &meshes[spared.min(meshes.len())..];
     let dim = || meshes.iter().copied().filter(|m| m.indirect > SHARE);
 
-    let least = dim().filter(waits).map(|m| photons_for(m).max(GATHER_AGAIN as f64)).fold(1.0, f64::max);
+    let least = dim().filter(waits).map(|m| photons_for(m).max(GATHER_AGAIN as f64)).fold(anyway, f64::max);
 
     // Photon growth that each of the others would need, the largest first: those above a line gather, the rest
     // wait for photons to grow up to it.
@@ -185,24 +186,24 @@ mod tests {
         let missed =
             |instance, indirect, texels| Missed { instance, direct: 0.1, indirect, texels, gathered: 0, of_rays: 0.0 };
         let meshes = [missed(0, 400.0, 30), missed(1, 1.2, 200_000), missed(2, 90.0, 100)];
-        let plan = plan_meshes(&meshes, 0, 0.15, 1e7);
+        let plan = plan_meshes(&meshes, 0, 0.15, 1e7, 1.0);
         assert_eq!(plan.gather.iter().map(|g| g.0).collect::<Vec<_>>(), [0, 2]);
         assert!(plan.photons > 1.5 && plan.photons < 10.0, "{plan:?}");
         assert!(plan.direct.is_empty());
         // The dearest may be spared.
-        let plan = plan_meshes(&meshes, 1, 0.15, 1e7);
+        let plan = plan_meshes(&meshes, 1, 0.15, 1e7, 1.0);
         assert_eq!(plan.photons, 1.0);
         // What is gathered grows by what is missing, where its rays are too few.
         let again = Missed { gathered: 89, indirect: 2.0, of_rays: 1.5, ..meshes[0] };
-        let plan = plan_meshes(&[again], 0, 0.15, 1e7);
+        let plan = plan_meshes(&[again], 0, 0.15, 1e7, 1.0);
         assert_eq!(plan.gather, [(0, (89.0f64 * 2.0 / 0.5 * 1.1).ceil() as u32)]);
         assert_eq!(plan.photons, 1.0);
         // Where they are not, what they look up must get better.
-        let plan = plan_meshes(&[Missed { of_rays: 0.3, texels: 3000, ..again }], 0, 0.15, 1e7);
+        let plan = plan_meshes(&[Missed { of_rays: 0.3, texels: 3000, ..again }], 0, 0.15, 1e7, 1.0);
         assert!(plan.gather.is_empty() && plan.photons >= GATHER_AGAIN as f64, "{plan:?}");
         // ... and where no more are allowed, likewise.
         let full = Missed { gathered: *GATHER_RANGE.end() as u32, ..again };
-        let plan = plan_meshes(&[full], 0, 0.15, 1e7);
+        let plan = plan_meshes(&[full], 0, 0.15, 1e7, 1.0);
         assert!(plan.gather.is_empty() && plan.photons >= GATHER_AGAIN as f64, "{plan:?}");
     }
 }

@@ -1,8 +1,9 @@
 //! What a bake will take, before it is taken.
 
 use super::Atlas;
+use super::texels::{NO_TEXEL, TransportGrid};
 use crate::error::BakeError;
-use crate::scene::{Scene, TriangleRef};
+use crate::scene::{Scene, TriangleRef, World};
 
 /// Bytes per cell of a page: the table from cells to texels, of both sides, and the finished maps.
 const BYTES_PER_CELL: u64 = 8 + 60;
@@ -14,11 +15,15 @@ const BYTES_PER_TRIANGLE: u64 = 250;
 /// 750), and as many again for texels at the borders of charts, which count here by the part that is covered.
 const BYTES_PER_TEXEL: f64 = 900.0;
 
-/// Memory that a bake of `scene` on `atlas` takes (bytes).
-pub fn memory_bytes(scene: &Scene, atlas: &Atlas) -> u64 {
+/// Memory that a bake of `world` on `atlas` takes (bytes); all there is and more where its texels have no numbers left.
+pub fn memory_bytes(world: &World, atlas: &Atlas) -> u64 {
     let cells: u64 = atlas.pages.iter().map(|p| u64::from(p.width) * u64::from(p.height)).sum();
-    let texels = covered(scene, atlas).min(2.0 * cells as f64);
-    cells * BYTES_PER_CELL + (texels * BYTES_PER_TEXEL) as u64 + scene.triangle_count() as u64 * BYTES_PER_TRIANGLE
+    let transport = TransportGrid::new(world, atlas).cells;
+    if cells + transport >= u64::from(NO_TEXEL) {
+        return u64::MAX;
+    }
+    let texels = covered(world.scene, atlas).min(2.0 * cells as f64) + transport as f64;
+    (cells + transport) * BYTES_PER_CELL + (texels * BYTES_PER_TEXEL) as u64 + world.len() as u64 * BYTES_PER_TRIANGLE
 }
 
 /// Covered area of the pages in texels; twice that of double-sided surfaces, each side of which has its own.
@@ -41,8 +46,8 @@ fn covered(scene: &Scene, atlas: &Atlas) -> f64 {
 ///
 /// # Errors
 /// [`BakeError::Limit`] says how much, and how to get under it.
-pub fn check_memory(scene: &Scene, atlas: &Atlas, limit: u64) -> Result<(), BakeError> {
-    let asked = memory_bytes(scene, atlas);
+pub fn check_memory(world: &World, atlas: &Atlas, limit: u64) -> Result<(), BakeError> {
+    let asked = memory_bytes(world, atlas);
     if asked <= limit {
         return Ok(());
     }

@@ -27,7 +27,7 @@ impl Bias {
 }
 
 /// The squared bias of the mean of both halves, for each of `groups` groups and, at the end, for all together.
-/// `weight(k)` is the weight of element k and its group.
+/// `weight(k)` is the weight of element k, 0 where nothing is smoothed, and its group.
 ///
 /// With R the reconstruction of a half and r its raw irradiance, both independent of the other half's,
 /// `(R_odd - r_odd) (R_even - r_even)` has the product of both biases as its expectation, however the cells were
@@ -56,8 +56,11 @@ pub fn bias(
             let (mut area, mut over, mut weights) = (0.0, [[0f64; 3]; 2], Vec::<(u32, f64)>::new());
             for k in block.elements {
                 let a = tree.elements[k].area;
-                area += f64::from(a);
                 let (w, group) = weight(k);
+                if w <= 0.0 {
+                    continue;
+                }
+                area += f64::from(a);
                 match weights.iter_mut().find(|g| g.0 == group) {
                     Some(g) => g.1 += w,
                     None => weights.push((group, w)),
@@ -69,7 +72,7 @@ pub fn bias(
                 }
             }
             let product = (0..3).map(|c| over[0][c] * over[1][c]).sum::<f64>() / 3.0;
-            (product / (area * area), weights)
+            (if area > 0.0 { product / (area * area) } else { 0.0 }, weights)
         })
         .collect();
     let mut sums = vec![Bias::default(); groups + 1];

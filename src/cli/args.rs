@@ -185,8 +185,8 @@ impl BakeArgs {
             target_percent: self.target_percent,
             target_mesh_percent: self.target_mesh_percent,
             time_limit: self.time_limit,
-            max_photons: self.max_photons.map(|m| m.max(0.0) as u64),
-            memory_limit: self.memory_limit << 20,
+            max_photons: self.max_photons.map(photons).transpose()?,
+            memory_limit: self.memory_limit.saturating_mul(1 << 20),
             max_texture: self.max_texture,
             max_pages: self.max_pages,
             density: density(&self.density)?,
@@ -264,6 +264,13 @@ fn density(text: &str) -> Result<Density, BakeError> {
     text.parse()
         .map(Density::TexelsPerMetre)
         .map_err(|_| BakeError::Options(format!("--density {text}: takes `auto` or texels per metre, such as 32")))
+}
+
+fn photons(most: f64) -> Result<u64, BakeError> {
+    if most > 0.0 && most.is_finite() {
+        return Ok(most as u64);
+    }
+    Err(BakeError::Options(format!("--max-photons {most}: must be a number above 0, such as 1e9")))
 }
 
 fn audits(text: &str) -> Result<Audits, BakeError> {

@@ -49,13 +49,33 @@ pub fn run(args: &BakeArgs) -> Result<u8, BakeError> {
     if !args.no_html {
         report_html::write(&staging.file("report.html")?, &bake)?;
     }
-    let report = to_json(&staging.file("report.json")?, &bake.report)?;
-    staging.publish()?;
+    let report = to_json(&staging.file(REPORT)?, &bake.report)?;
+    // What an earlier bake left beside would contradict this one: a second page, views from other cameras.
+    let earlier = is_report(&args.out.join(REPORT));
+    staging.publish(|name| earlier && is_output(name))?;
     if args.json {
-        println!("{report}");
+        super::print(&report)?;
     }
     eprintln!("{}", summary(&bake.report, &args.out));
     Ok(if bake.report.target_met { 0 } else { super::TARGET_MISSED })
+}
+
+/// Written last.
+const REPORT: &str = "report.json";
+
+/// Whether a file is a report of this program.
+fn is_report(path: &Path) -> bool {
+    let text = std::fs::read(path).unwrap_or_default();
+    serde_json::from_slice::<serde_json::Value>(&text).is_ok_and(|v| v.get("evenlight").is_some())
+}
+
+/// Whether a bake may write a file of this name.
+fn is_output(name: &str) -> bool {
+    let numbered = |start: &str, end: &str| {
+        let number = name.strip_prefix(start).and_then(|n| n.strip_suffix(end));
+        number.is_some_and(|n| !n.is_empty() && n.bytes().all(|b| b.is_ascii_digit()))
+    };
+    numbered("lightmap-", ".exr") || numbered("lightmap-", ".png") || numbered("view-", ".png") || name == "report.html"
 }
 
 fn page_file(page: usize) -> String {

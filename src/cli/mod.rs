@@ -11,6 +11,7 @@ mod terminal;
 
 use clap::Parser;
 use evenlight::{BakeError, Scene};
+use std::io::Write;
 use std::process::ExitCode;
 
 /// Baked and written, but a target was not met.
@@ -46,10 +47,17 @@ fn not_built(what: &str) -> Result<u8, BakeError> {
 fn inspect_scene(path: &std::path::Path, json: bool) -> Result<u8, BakeError> {
     let scene = Scene::from_gltf(path)?;
     let inspection = inspect::inspect(&scene);
-    if json {
-        println!("{}", serde_json::to_string_pretty(&inspection).unwrap_or_default());
-    } else {
-        print!("{}", inspection.text());
+    let text =
+        if json { serde_json::to_string_pretty(&inspection).unwrap_or_default() + "\n" } else { inspection.text() };
+    print(&text).map(|()| 0)
+}
+
+/// Writes `text` to stdout. A reader that has seen enough and closed its end is no fault.
+fn print(text: &str) -> Result<(), BakeError> {
+    match std::io::stdout().write_all(text.as_bytes()) {
+        Err(source) if source.kind() != std::io::ErrorKind::BrokenPipe => {
+            Err(BakeError::Io { path: "standard output".into(), source })
+        }
+        _ => Ok(()),
     }
-    Ok(0)
 }

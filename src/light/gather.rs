@@ -260,6 +260,7 @@ impl Direct {
         let all = 2 * texels.texels.len().max(1) as u64;
         let steering =
             ((STEERING_SHARE * (self.samples + budget) as f64 / all as f64) as u32).saturating_sub(self.steering);
+        let steering = steering.min((MAX_SAMPLES as u32).saturating_sub(self.steering));
         let steering = if steering < LEAST_MORE { 0 } else { steering };
         let more = [0, 1].map(|half| {
             let wish = self.wishes(half, texels, &importance);

@@ -73,7 +73,7 @@ impl SkySampler {
 
 fn brightness(l: Vec3) -> f64 {
     // The mean of the channels: every channel that carries light can be sampled.
-    f64::from(l.x + l.y + l.z)
+    l.as_dvec3().element_sum()
 }
 
 impl SkyImage {

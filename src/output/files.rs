@@ -25,7 +25,7 @@ impl Staging {
         let apart = folder.join(format!(".part-{}", std::process::id()));
         let staging = Staging { folder: folder.into(), new: !folder.exists(), apart, names: Vec::new() };
         staging.make()?;
-        // A process that is killed at work leaves no trace.
+        // A process that is killed at work leaves nothing in the folder.
         let _ = fs::remove_dir(&staging.apart);
         Ok(staging)
     }
@@ -43,17 +43,23 @@ impl Staging {
     }
 
     /// Moves the files to their places, in the order in which they were named: who waits for the last of them
-    /// finds all.
+    /// finds all. Then removes the files of the folder that are `stale`, of those that were not named.
     ///
     /// # Errors
     /// [`BakeError::Io`] names the file whose place cannot be taken, by a folder of its name for one.
-    pub fn publish(self) -> Result<(), BakeError> {
+    pub fn publish(self, stale: impl Fn(&str) -> bool) -> Result<(), BakeError> {
         if let Some(path) = self.names.iter().map(|n| self.folder.join(n)).find(|p| p.is_dir()) {
             return Err(BakeError::Io { path, source: std::io::ErrorKind::IsADirectory.into() });
         }
         for name in &self.names {
             let path = self.folder.join(name);
             fs::rename(self.apart.join(name), &path).map_err(|source| BakeError::Io { path, source })?;
+        }
+        for entry in fs::read_dir(&self.folder).into_iter().flatten().flatten() {
+            let named = |name: &str| self.names.iter().any(|n| n == name);
+            if entry.file_name().to_str().is_some_and(|name| stale(name) && !named(name)) {
+                fs::remove_file(entry.path()).map_err(|source| BakeError::Io { path: entry.path(), source })?;
+            }
         }
         Ok(())
     }

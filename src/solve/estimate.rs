@@ -43,7 +43,8 @@ impl Solver<'_, '_> {
             let i = tree.elements[k].texel as usize;
             // A mean over buried area as well errs in its open share alone.
             let share = if whole { f64::from(open[i]).powi(2) } else { 1.0 };
-            (weights.weight[i] * share, weights.instance[i])
+            let smooth = sky.is_some() || !self.has_gathered(weights.instance[i] as usize);
+            (if smooth { weights.weight[i] * share } else { 0.0 }, weights.instance[i])
         };
         let smoothed = self.smoothed(&caught, &found, sky.as_ref());
         let biases = |depth: u32| match self.options.smoothing {
@@ -62,6 +63,7 @@ impl Solver<'_, '_> {
             tree,
             blocks: &smoothed.blocks,
             bias: whole_bias,
+            start_noise: self.start_noise(),
         });
         let (target, mesh_target) = (self.options.target_percent, self.options.mesh_target());
         let (meshes, area_within_target) = mesh_errors(visibility.world, &total, &weights, &biases, error.mean, target);
@@ -112,10 +114,14 @@ impl Solver<'_, '_> {
         })
     }
 
+    /// Squared relative noise of the flux that photons start with. They start at direct samples: how far the halves
+    /// are apart in it is noise of all indirect light that only direct samples lower.
+    fn start_noise(&self) -> f64 {
+        let [odd, even] = self.start_totals();
+        if odd + even > 0.0 { ((odd - even) / (odd + even)).powi(2) } else { 0.0 }
+    }
+
     /// Squared errors of each instance, times its weight.
-    ///
-    /// Photons start at direct samples: how far the start fluxes of the halves are apart is noise of all indirect
-    /// light that only direct samples lower.
     fn squares(
         &self,
         apart: &Halves,
@@ -124,8 +130,7 @@ impl Solver<'_, '_> {
         weights: &TexelWeights,
         biases: &[Bias],
     ) -> Vec<Squares> {
-        let [odd, even] = self.start_totals();
-        let start_noise = if odd + even > 0.0 { ((odd - even) / (odd + even)).powi(2) } else { 0.0 };
+        let start_noise = self.start_noise();
         let mut sums = vec![(Squares::default(), 0.0); biases.len() - 1];
         for i in (0..weights.weight.len()).filter(|&i| weights.weight[i] > 0.0) {
             let (sum, starts) = &mut sums[weights.instance[i] as usize];

@@ -8,6 +8,7 @@ use crate::error::BakeError;
 use crate::options::{Smoothing, TexelValue};
 use glam::Vec3;
 use rayon::prelude::*;
+use std::time::Instant;
 
 /// Texels that gather between two looks at the clock.
 const GATHER_CHUNK: usize = 4096;
@@ -105,6 +106,7 @@ impl Solver<'_, '_> {
     /// Replaces the indirect light of the meshes that gather it: of those that were to begin when time ran out,
     /// none that is not done.
     pub(super) fn gather(&mut self, found: &mut Reconstruction) -> Result<(), BakeError> {
+        let started = Instant::now();
         let LightPath { tree, open, .. } = self.path;
         let Some(starts) = self.starts.as_ref().filter(|_| self.gathered.iter().any(|&n| n > 0)) else { return Ok(()) };
         // Gathered once, light stays as it is until more rays are asked for or the map it came from is much better.
@@ -153,6 +155,7 @@ impl Solver<'_, '_> {
         if done {
             fresh.iter().for_each(|&(instance, state)| self.gathered_at[instance] = state);
         }
+        self.seconds[1] += started.elapsed().as_secs_f64();
         for (k, e) in tree.elements.iter().enumerate().filter(|(_, e)| self.has_gathered(instance(e.texel))) {
             let light = self.kept[&e.texel];
             (0..2).for_each(|h| found.values[h][k] = light[h].light);

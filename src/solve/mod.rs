@@ -34,6 +34,9 @@ const MOST_PER_TEXEL_AT_ONCE: u64 = 4;
 /// Photons of the first round per half: 2^(12..16), by the number of texels.
 const FIRST_NET_BITS: std::ops::RangeInclusive<u32> = 12..=16;
 
+/// Samples of each half of a texel that must all be black before a scene with lights is believed to be.
+const DARK_SAMPLES: f64 = 64.0;
+
 /// Nets of one round are powers of two of at least this many photons.
 const LEAST_NET_BITS: u32 = 12;
 
@@ -141,7 +144,7 @@ pub struct Solution {
     pub direct_samples: u64,
     /// Shadow rays of direct light.
     pub direct_rays: u64,
-    /// Rays that gathered indirect light, and meshes that did.
+    /// Rays that gathered indirect light.
     pub gather_rays: u64,
     /// Meshes whose indirect light was gathered.
     pub gathered_meshes: usize,
@@ -247,10 +250,15 @@ impl Solver<'_, '_> {
         let bits = (self.path.texels.texels.len().max(1).ilog2()).clamp(*FIRST_NET_BITS.start(), *FIRST_NET_BITS.end());
         let mut round = Round { samples: 1, photons: 1 << bits, ..Round::default() };
         loop {
-            let stopped = self.trace(&round)?;
-            let started = Instant::now();
+            let before = self.work();
+            let mut stopped = self.trace(&round)?;
+            let (started, tracing) = (Instant::now(), self.seconds[1]);
             let mut solution = self.solution()?;
-            self.seconds[2] += started.elapsed().as_secs_f64();
+            // Of that, gathering is tracing.
+            self.seconds[2] += started.elapsed().as_secs_f64() - (self.seconds[1] - tracing);
+            if self.work() == before {
+                stopped = stopped.or(Some("samples"));
+            }
             let wish = self.wish(&solution, f64::INFINITY);
             let next = self.wish(&solution, MOST_REDUCTION);
             let rays = self.rays();
@@ -306,8 +314,10 @@ impl Solver<'_, '_> {
                 let counts =
                     |texel: usize| self.weights.instance.get(texel).map_or(1.0, |&i| self.importance[i as usize]);
                 let next = self.direct.allocate(budget, texels, counts);
+                let before = self.direct.all_samples();
                 self.direct.extend(&|half, texel| next.more[half][texel], next.steering, self.options.seed, &light);
-                left -= budget;
+                // Where all texels have the most that they may take, none takes any.
+                left = if self.direct.all_samples() == before { 0 } else { left - budget };
             }
             self.seconds[0] += started.elapsed().as_secs_f64();
             self.report_progress()?;
@@ -378,6 +388,11 @@ impl Solver<'_, '_> {
         self.options.time_limit.is_some_and(|t| self.began.elapsed().as_secs_f64() > t)
     }
 
+    /// Samples, photons and gather rays so far.
+    fn work(&self) -> (u64, u64, u64) {
+        (self.direct.all_samples(), self.photons, self.gather_rays)
+    }
+
     fn rays(&self) -> u64 {
         self.direct.rays() + self.ledger.rays + self.gather_rays
     }
@@ -400,10 +415,16 @@ impl Solver<'_, '_> {
     /// the targets are met.
     fn wish(&self, s: &Solution, most: f64) -> Option<Round> {
         let (target, mesh_target) = (self.options.target_percent, self.options.mesh_target());
+        let samples = self.direct.all_samples() as f64;
+        if s.error.mean <= 0.0 {
+            // Nothing found any light yet. It may come through a keyhole: black is believed after a good look.
+            let looks = samples / (2 * self.path.texels.texels.len()).max(1) as f64;
+            let looks_on = looks < DARK_SAMPLES && !self.path.emitters.is_empty();
+            return looks_on.then(|| Round { samples: samples as u64, ..Round::default() });
+        }
         if s.error.high <= target && s.mesh_percent <= mesh_target {
             return None;
         }
-        let samples = self.direct.all_samples() as f64;
         let spent = Spent {
             direct: s.squares.apart,
             soft: s.squares.soft,
@@ -414,8 +435,8 @@ impl Solver<'_, '_> {
         let (x, mut y) = cheapest_growth(&spent, (s.error.high / target).powi(2).min(most));
         let mut round = Round { samples: (samples * (x - 1.0)).ceil().min(1e18) as u64, ..Round::default() };
         if s.mesh_percent > mesh_target {
-            let plan = plan_meshes(&s.missed, s.meshes.len() / 20, mesh_target / 100.0, spent.photon_cost * y);
-            y *= plan.photons;
+            let plan = plan_meshes(&s.missed, s.meshes.len() / 20, mesh_target / 100.0, spent.photon_cost, y);
+            y = plan.photons;
             // Light is gathered from what photons found: not before that is about good enough by itself.
             if s.error.high <= GATHER_FROM * target {
                 round.gather = plan.gather;
@@ -465,7 +486,8 @@ impl Solver<'_, '_> {
     }
 
     fn exhausted(&self) -> &'static str {
-        if self.options.max_photons.is_some() { "max-photons" } else { "samples" }
+        let bound = self.options.max_photons.is_some_and(|m| self.photons + (1 << LEAST_NET_BITS) > m / 2);
+        if bound { "max-photons" } else { "samples" }
     }
 }
 

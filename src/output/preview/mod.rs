@@ -31,7 +31,7 @@ impl RgbImage {
     /// The image as a PNG file in memory; equal images give equal bytes.
     ///
     /// # Errors
-    /// [`BakeError::Options`] where the image has no pixels or not `3 * width * height` values.
+    /// [`BakeError::Io`] where the image has no pixels or not `3 * width * height` values.
     pub fn to_png(&self) -> Result<Vec<u8>, BakeError> {
         self.to_filtered_png(FilterType::default())
     }
@@ -40,7 +40,8 @@ impl RgbImage {
     pub(super) fn to_filtered_png(&self, filter: FilterType) -> Result<Vec<u8>, BakeError> {
         let (width, height) = (self.width, self.height);
         let invalid = |why: &dyn std::fmt::Display| {
-            BakeError::Options(format!("a preview of {width} x {height} pixels cannot be encoded: {why}"))
+            let why = format!("{width} x {height} pixels cannot be encoded: {why}");
+            BakeError::Io { path: "a preview".into(), source: std::io::Error::other(why) }
         };
         if self.rgb.len() as u64 != 3 * u64::from(width) * u64::from(height) || self.rgb.is_empty() {
             return Err(invalid(&"it needs at least one pixel, and three values per pixel"));
