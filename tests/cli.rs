@@ -235,6 +235,39 @@ fn results_that_cannot_be_written_return_1_and_leave_nothing_behind() {
 
 #[cfg(unix)]
 #[test]
+fn a_smaller_bake_leaves_nothing_of_a_larger_one_and_all_that_is_not_ours() {
+    let folder = temporary();
+    let out = folder.path().join("out");
+    let options = ["--target-percent", "50", "--target-mesh-percent", "100", "--no-html", "--no-preview"];
+    let expect_files = |expected: &[&str]| {
+        expect(&bake(folder.path(), "furnace.glb", &options), 0);
+        assert_eq!(files(&out), expected);
+    };
+    std::fs::create_dir(&out).expect("a folder");
+    let put = |name: &&str| std::fs::write(out.join(name), "old").expect("a file");
+    ["report.html", "notes.txt"].iter().for_each(put);
+    let written = ["lightmap-0.exr", "lightmap.json", "report.json", "scene.glb"];
+    expect_files(&["lightmap-0.exr", "lightmap.json", "notes.txt", "report.html", "report.json", "scene.glb"]);
+    // With a report of an earlier bake beside them, pages and views are known to be of that one.
+    ["lightmap-1.exr", "lightmap-12.png", "view-3.png", "lightmap-x.exr"].iter().for_each(put);
+    let mut expected = [&written[..], &["lightmap-x.exr", "notes.txt"]].concat();
+    expected.sort_unstable();
+    expect_files(&expected);
+}
+
+#[test]
+fn a_reader_that_has_seen_enough_is_no_fault() {
+    let mut child = std::process::Command::new(env!("CARGO_BIN_EXE_evenlight"))
+        .args(["inspect", "--json"])
+        .arg(fixture("room.glb"))
+        .stdout(std::process::Stdio::piped())
+        .spawn()
+        .expect("the program starts");
+    drop(child.stdout.take());
+    assert!(child.wait().expect("it ends").success());
+}
+
+#[test]
 fn a_disk_that_fills_up_leaves_the_folder_as_it_was() {
     let folder = temporary();
     let out = folder.path().join("out");

@@ -2,9 +2,10 @@
 
 mod common;
 
-use common::rooms::Builder;
+use common::rooms::{Builder, plain, run};
 use common::stage::Stage;
 use common::statistics::{expect_mean, mean_and_error};
+use evenlight::BakeOptions;
 use evenlight::light::{Direct, Visibility};
 use evenlight::photon::{Bins, Flux, Shooting, StartTable};
 use evenlight::scene::Scene;
@@ -151,5 +152,27 @@ fn photons_leave_a_texel_from_where_its_light_is() {
         // The truth scatters as well: pairs of independent runs.
         let pairs: Vec<f64> = of(&one).iter().zip(of(&many)).map(|(a, b)| a - b + truth).collect();
         expect_mean(name, &pairs, truth, visible, 2);
+    }
+}
+
+/// Light that comes through a hole so small that the first samples miss it, in two bakes of three, is looked for before
+/// a floor is called black.
+#[test]
+fn a_floor_is_not_black_before_a_good_look() {
+    let mut b = Builder::new(PAGE);
+    let black = b.diffuse(0.0, 0.0);
+    let (x, y, z) = (Vec3::X, Vec3::Y, Vec3::Z);
+    b.quad("floor", Vec3::ZERO, z, x, black, [2; 2]);
+    // A lid that turns its back to the lamp, with a hole 8 cm wide.
+    let (near, hole) = (0.46, 0.08);
+    b.quad("lid", y, x, z * near, black, [2; 2]);
+    b.quad("lid", y + z * (near + hole), x, z * near, black, [2; 2]);
+    b.quad("lid", y + z * near, x * near, z * hole, black, [2; 2]);
+    b.quad("lid", y + z * near + x * (near + hole), x * near, z * hole, black, [2; 2]);
+    b.point_light(Vec3::new(0.5, 2.0, 0.5), 100.0);
+    let scene = b.finish();
+    for seed in 0..8 {
+        let bake = run(&scene, &BakeOptions { seed, ..plain(PAGE, 20.0) });
+        assert!(bake.report.mean_irradiance > 0.0, "seed {seed}: {:?}", bake.report.history);
     }
 }

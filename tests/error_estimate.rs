@@ -147,3 +147,15 @@ fn indirect_error_follows_the_law_of_poisson() {
     let (mean, _) = mean_and_error(&figures);
     mean_test(&figures, mean.clamp(0.85, 1.05), 1).expect("variance of counts");
 }
+
+/// A target that no work can meet ends the bake with the name of what is exhausted.
+#[test]
+fn work_that_cannot_grow_ends() {
+    let mut b = Builder::new(PAGE);
+    let black = b.diffuse(0.0, 0.0);
+    b.quad("floor", glam::Vec3::ZERO, glam::Vec3::Z, glam::Vec3::X, black, [1, 2]);
+    b.point_light(glam::Vec3::new(0.2, 0.1, 0.3), 10.0);
+    let scene = b.finish();
+    let bake = run(&scene, &plain(PAGE, 1e-6));
+    assert_eq!((bake.report.target_met, bake.report.limit), (false, Some("samples")));
+}

@@ -282,7 +282,9 @@ impl Direct {
                 let middle = 0.5 * (low + high);
                 if more(middle) < budget / 2 { low = middle } else { high = middle }
             }
-            wish.iter().zip(have).map(|(w, h)| more_samples(*w, low, h.samples) as u32).collect()
+            // Texels that all wish the same get nothing by the smaller.
+            let scale = if more(low) > 0 { low } else { high };
+            wish.iter().zip(have).map(|(w, h)| more_samples(*w, scale, h.samples) as u32).collect()
         });
         Allocation { more, steering }
     }
