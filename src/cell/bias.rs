@@ -49,36 +49,59 @@ pub fn bias(
         let halve = |n: Node| tree.children(&n).map_or_else(|| vec![n], |pair| pair.to_vec());
         blocks = blocks.into_iter().flat_map(halve).collect();
     }
-    // Mean squared bias of each block, and the weight of the groups in it: few.
-    let terms: Vec<(f64, Vec<(u32, f64)>)> = blocks
+    // What each group, of which there are few, has in each block: texels of a mesh that are known well must not be told
+    // the noise of those of another beside them.
+    let parts: Vec<Vec<(u32, Part)>> = blocks
         .into_par_iter()
         .map(|block| {
-            let (mut area, mut over, mut weights) = (0.0, [[0f64; 3]; 2], Vec::<(u32, f64)>::new());
+            let mut parts = Vec::<(u32, Part)>::new();
             for k in block.elements {
-                let a = tree.elements[k].area;
-                let (w, group) = weight(k);
-                if w <= 0.0 {
+                let (weight, group) = weight(k);
+                if weight <= 0.0 {
                     continue;
                 }
-                area += f64::from(a);
-                match weights.iter_mut().find(|g| g.0 == group) {
-                    Some(g) => g.1 += w,
-                    None => weights.push((group, w)),
-                }
-                for h in 0..2 {
-                    for c in 0..3 {
-                        over[h][c] += f64::from(a * values[h][k][c]) - f64::from(caught[h][k][c]);
-                    }
+                let area = tree.elements[k].area;
+                let over = [0, 1].map(|h| {
+                    let of = |c: usize| f64::from(area * values[h][k][c]) - f64::from(caught[h][k][c]);
+                    std::array::from_fn(of)
+                });
+                let one = Part { weight, area: area.into(), over };
+                match parts.iter_mut().find(|p| p.0 == group) {
+                    Some((_, part)) => *part = part.with(&one),
+                    None => parts.push((group, one)),
                 }
             }
-            let product = (0..3).map(|c| over[0][c] * over[1][c]).sum::<f64>() / 3.0;
-            (if area > 0.0 { product / (area * area) } else { 0.0 }, weights)
+            parts
         })
         .collect();
     let mut sums = vec![Bias::default(); groups + 1];
-    for (square, weights) in terms {
-        weights.iter().for_each(|&(group, w)| sums[group as usize].add(w * square));
-        sums[groups].add(weights.iter().map(|g| g.1).sum::<f64>() * square);
+    for parts in parts {
+        parts.iter().for_each(|(group, part)| sums[*group as usize].add(part.square()));
+        if let Some(whole) = parts.into_iter().map(|p| p.1).reduce(|a, b| a.with(&b)) {
+            sums[groups].add(whole.square());
+        }
     }
     sums
+}
+
+/// Some elements of a block.
+#[derive(Clone, Copy)]
+struct Part {
+    weight: f64,
+    area: f64,
+    /// Flux of each half and channel that the reconstruction tells beyond what was caught.
+    over: [[f64; 3]; 2],
+}
+
+impl Part {
+    fn with(&self, other: &Part) -> Part {
+        let over = std::array::from_fn(|h| std::array::from_fn(|c| self.over[h][c] + other.over[h][c]));
+        Part { weight: self.weight + other.weight, area: self.area + other.area, over }
+    }
+
+    /// Its weight times the squared bias of its mean.
+    fn square(&self) -> f64 {
+        let product = (0..3).map(|c| self.over[0][c] * self.over[1][c]).sum::<f64>() / 3.0;
+        self.weight * product / (self.area * self.area)
+    }
 }

@@ -21,6 +21,10 @@ const REGION_BLOCKS: u32 = 64;
 /// Weight of the scene's mean in the dispersion of a region, in blocks.
 const SCENE_BLOCKS: f64 = 16.0;
 
+/// Elements in a region of one scatter, and weight of what is expected, in elements.
+const SCATTER_REGION: usize = 64;
+const SCATTER_DRAWN: f64 = 16.0;
+
 /// Flux and area under a node, and what splitting it gains.
 #[derive(Clone, Copy)]
 struct Sum {
@@ -189,6 +193,26 @@ pub fn dispersion(tree: &SurfaceTree, halves: [&Caught; 2]) -> Vec<f32> {
         let (sum, n) = (f64::from(f32::from_bits(sum.load(Relaxed))), f64::from(n.load(Relaxed)));
         let drawn = (sum + SCENE_BLOCKS * mean) / (n + SCENE_BLOCKS);
         out[region.elements].fill(drawn as f32);
+    }
+    out
+}
+
+/// Squared difference of the halves of single elements, summed over the channels, in proportion to the variance that
+/// their own samples show: 3 where samples are random, less where they are so many that their low-discrepancy
+/// sequence tells. Pooled over regions of neighbours.
+pub fn scatter(tree: &SurfaceTree, halves: [&Caught; 2]) -> Vec<f32> {
+    let mut out = vec![3.0; tree.elements.len()];
+    for region in tree.cut(|n| n.elements.len() <= SCATTER_REGION) {
+        let n = region.elements.len() as f64;
+        let (mut seen, mut shown) = (0.0, 0.0);
+        for k in region.elements.clone() {
+            let difference = |c: usize| f64::from(halves[0].flux[k][c]) - f64::from(halves[1].flux[k][c]);
+            seen += (0..3).map(|c| difference(c).powi(2)).sum::<f64>();
+            shown += halves.iter().filter_map(|h| h.samples.as_ref()).map(|s| s.scatter[k]).sum::<f64>();
+        }
+        if shown > 0.0 {
+            out[region.elements].fill(((seen / shown * n + 3.0 * SCATTER_DRAWN) / (n + SCATTER_DRAWN)) as f32);
+        }
     }
     out
 }

@@ -71,12 +71,12 @@ struct Plane {
 
 /// Irradiance (lux) of every element and the side of its cell [frame units], in the order of the tree. `caught` is that
 /// of one half, `cells` its cells; the variance of a cell's flux, for all channels, is that of its elements times the
-/// `dispersion` there.
+/// `dispersion` there, and what samples of one element show of theirs is to be taken times `scatter` there.
 pub fn reconstruct(
     tree: &SurfaceTree,
     cells: &Cells,
     caught: &Caught,
-    dispersion: &[f32],
+    [dispersion, scatter]: [&[f32]; 2],
     accel: &Accel,
 ) -> (Vec<Vec3>, Vec<f32>) {
     let moments: Vec<Cell> =
@@ -84,7 +84,7 @@ pub fn reconstruct(
     let index = CellIndex::new(&moments);
     let around: Vec<Vec<u32>> = (0..moments.len()).into_par_iter().map(|i| index.around(&moments, i, accel)).collect();
     let planes: Vec<Plane> = (0..moments.len()).into_par_iter().map(|i| fit(&moments, i, &around[i])).collect();
-    let fitted = Fitted { tree, cells, moments: &moments, around: &around, caught, dispersion };
+    let fitted = Fitted { tree, cells, moments: &moments, around: &around, caught, scatter };
     let mut parts: Vec<Vec<Vec3>> =
         (0..moments.len()).into_par_iter().map(|i| fitted.blend(i, |j, d| planes[j].at(d))).collect();
     (0..STEPS).for_each(|_| fitted.give_back(&mut parts));
@@ -108,7 +108,7 @@ struct Fitted<'a> {
     moments: &'a [Cell],
     around: &'a [Vec<u32>],
     caught: &'a Caught,
-    dispersion: &'a [f32],
+    scatter: &'a [f32],
 }
 
 impl Fitted<'_> {
@@ -191,9 +191,10 @@ impl Fitted<'_> {
             let mut details: Vec<Detail> =
                 elements.iter().zip(&*values).map(|(&k, &v)| self.detail(k, v, noise, samples)).collect();
             let mut size = elements.len();
-            while size > 0 {
+            details.chunks_mut(size).for_each(Detail::tell);
+            while size > 1 {
+                size = size.div_ceil(DETAIL_STEP);
                 details.chunks_mut(size).for_each(Detail::tell);
-                size /= DETAIL_STEP;
             }
             if details.iter().any(|d| d.left < 1.0) {
                 let told = details.iter().map(|d| d.raw - d.difference);
@@ -208,8 +209,7 @@ impl Fitted<'_> {
         let k = k as usize;
         let area = self.tree.elements[k].area;
         let expected = noise * f64::from(samples.grain[k]) * f64::from(value.element_sum() / 3.0 * area);
-        // Low-discrepancy nets are more even than this says within large cells, but not from texel to texel.
-        let channels = f64::from(self.dispersion[k].max(3.0)) / f64::from(area);
+        let channels = f64::from(self.scatter[k]) / f64::from(area);
         let raw = Vec3::from(self.caught.flux[k]) / area;
         Detail {
             raw,

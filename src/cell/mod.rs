@@ -17,7 +17,7 @@ pub use gather::{Gather, Gathered};
 pub use tree::{Element, Node, Setting, SurfaceTree};
 
 use crate::accel::Accel;
-use choose::{choose, dispersion};
+use choose::{choose, dispersion, scatter};
 use fit::reconstruct;
 use glam::Vec3;
 use links::Cells;
@@ -85,7 +85,8 @@ impl Reconstruction {
         let dispersion = dispersion(tree, caught);
         let chosen = caught.map(|caught| choose(tree, caught, &dispersion));
         let cells = [0, 1].map(|h| Cells::new(tree, &chosen[h], accel));
-        let [odd, even] = [0, 1].map(|h| reconstruct(tree, &cells[h], caught[h], &dispersion, accel));
+        let scatter = scatter(tree, caught);
+        let [odd, even] = [0, 1].map(|h| reconstruct(tree, &cells[h], caught[h], [&dispersion, &scatter], accel));
         let mut starts: Vec<usize> = chosen.iter().flat_map(|c| c.cells.iter().map(|n| n.elements.start)).collect();
         starts.sort_unstable();
         let border_inside = |n: &Node| {
