@@ -247,7 +247,8 @@ impl Direct {
     }
 
     /// How many more samples each half of each texel should take, so that `budget` in all bring the noise down
-    /// most: in proportion to the square root of area times variance (Neyman 1934), counting what a texel has.
+    /// most: in proportion to the square root of area times variance (Neyman 1934), counting what a texel has. It has
+    /// at least `growth(texel)` times as many after that, whatever the budget.
     ///
     /// What steers a texel are samples of the *other* texels around it, and of its own half: samples that every texel
     /// takes the same number of. The number of samples of a texel is then independent of their values, so that their
@@ -255,24 +256,30 @@ impl Direct {
     /// all samples, the few texels of a dim room that find its window would have their neighbours looked at closely,
     /// hence be so themselves, and be corrected, while those that miss it would not: that room lost 1 % of its light.
     /// (What all texels together decide, the scale here and when to stop, depends on any one of them by a part in
-    /// their number.)
-    pub fn allocate(&self, budget: u64, texels: &Texels, importance: impl Fn(usize) -> f32) -> Allocation {
+    /// their number; so does the growth of a mesh, in the number of its own.)
+    pub fn allocate(&self, budget: u64, texels: &Texels, growth: impl Fn(usize) -> f64 + Sync) -> Allocation {
         let all = 2 * texels.texels.len().max(1) as u64;
         let steering =
             ((STEERING_SHARE * (self.samples + budget) as f64 / all as f64) as u32).saturating_sub(self.steering);
         let steering = steering.min((MAX_SAMPLES as u32).saturating_sub(self.steering));
         let steering = if steering < LEAST_MORE { 0 } else { steering };
         let more = [0, 1].map(|half| {
-            let wish = self.wishes(half, texels, &importance);
-            let have = &self.halves[half];
-            let more_samples = |wish: f64, scale: f64, have: u32| more_samples(wish, scale, have).max(steering.into());
-            let more = |scale: f64| {
-                let chunks = wish
-                    .par_chunks(CHUNK)
-                    .zip(have.par_chunks(CHUNK))
-                    .map(|(w, h)| w.iter().zip(h).map(|(w, h)| more_samples(*w, scale, h.samples)).sum::<u64>());
-                chunks.sum::<u64>()
+            let least = |(texel, have): (usize, &HalfTexel)| {
+                let have = f64::from(have.samples);
+                let grown = ((growth(texel) - 1.0) * have).min(MAX_SAMPLES - have);
+                u64::from(steering).max(grown as u64)
             };
+            let least = self.halves[half].par_iter().enumerate().map(least);
+            let wished: Vec<(f64, u32, u64)> = self
+                .wishes(half, texels)
+                .into_par_iter()
+                .zip(&self.halves[half])
+                .zip(least)
+                .map(|((wish, have), least)| (wish, have.samples, least))
+                .collect();
+            let more_samples =
+                |&(wish, have, least): &(f64, u32, u64), scale: f64| more_samples(wish, scale, have).max(least);
+            let more = |scale: f64| -> u64 { wished.par_iter().map(|w| more_samples(w, scale)).sum() };
             // The scale at which the additions use up this half's share of the budget.
             let (mut low, mut high) = (0.0, 1.0);
             while more(high) < budget / 2 && high < 1e12 {
@@ -284,14 +291,14 @@ impl Direct {
             }
             // Texels that all wish the same get nothing by the smaller.
             let scale = if more(low) > 0 { low } else { high };
-            wish.iter().zip(have).map(|(w, h)| more_samples(*w, scale, h.samples) as u32).collect()
+            wished.iter().map(|w| more_samples(w, scale) as u32).collect()
         });
         Allocation { more, steering }
     }
 
     /// Square root of area times variance of each texel, relative to the mean. The variance is that of its
     /// neighbours: a penumbra found by one texel is looked for in those beside it.
-    fn wishes(&self, half: usize, texels: &Texels, importance: &impl Fn(usize) -> f32) -> Vec<f64> {
+    fn wishes(&self, half: usize, texels: &Texels) -> Vec<f64> {
         let variance: Vec<f64> = self.halves[half].iter().map(|t| t.steering.variance(self.steering)).collect();
         let around = around(&variance);
         let wanted: Vec<f64> = around.iter().zip(&texels.texels).map(|(v, t)| f64::from(t.area) * v).collect();
@@ -299,8 +306,7 @@ impl Direct {
         if mean <= 0.0 {
             return vec![1.0; wanted.len()];
         }
-        let wish = |(i, v): (usize, &f64)| (f64::from(importance(i)) * (v / mean + LEAST_SHARE)).sqrt();
-        wanted.iter().enumerate().map(wish).collect()
+        wanted.iter().map(|v| (v / mean + LEAST_SHARE).sqrt()).collect()
     }
 
     /// Takes `more(half, texel)` samples in each half of each texel, at least `steering` everywhere. Sample k of a texel is point k of a scrambled

@@ -59,9 +59,6 @@ const GATHER_FROM: f64 = 1.5;
 /// Cost of a direct sample in rays of photons: lamps are weighed and texels clipped besides.
 const SAMPLE_COST: f64 = 2.0;
 
-/// A mesh's direct light counts at most this much more than its area says.
-const MOST_IMPORTANCE: f32 = 1e12;
-
 /// What rays meet and what shines: the inputs of the solution.
 #[derive(Debug, Clone, Copy)]
 pub struct LightPath<'a> {
@@ -177,8 +174,8 @@ struct Solver<'a, 'o> {
     gathered_at: Vec<(u32, u64)>,
     /// Gathered indirect light of both halves by texel.
     kept: HashMap<u32, [Gathered; 2]>,
-    /// How much more the direct light of each instance counts than its area says.
-    importance: Vec<f32>,
+    /// Factor by which the direct samples of each instance are to grow in this round.
+    growth: Vec<f64>,
     /// Texels of each instance on the map.
     texels_of: Vec<usize>,
     /// Photons per half, and nets per half so far.
@@ -219,7 +216,7 @@ pub fn solve(
         gather_rays: 0,
         gathered_at: vec![(0, 0); instances],
         kept: HashMap::new(),
-        importance: vec![1.0; instances],
+        growth: vec![1.0; instances],
         texels_of,
         photons: 0,
         nets: 0,
@@ -239,7 +236,7 @@ struct Round {
     samples: u64,
     /// Photons per half.
     photons: u64,
-    /// (instance, factor) by which its direct light is to count more.
+    /// (instance, factor) by which its direct samples are to grow.
     direct: Vec<(usize, f64)>,
     /// (instance, gather rays of each texel and half) from now on.
     gather: Vec<(usize, u32)>,
@@ -311,9 +308,9 @@ impl Solver<'_, '_> {
                 self.direct.extend(&|_, _| FIRST_SAMPLES, FIRST_SAMPLES, self.options.seed, &light);
                 left = 0;
             } else {
-                let counts =
-                    |texel: usize| self.weights.instance.get(texel).map_or(1.0, |&i| self.importance[i as usize]);
-                let next = self.direct.allocate(budget, texels, counts);
+                let growth = |texel: usize| self.weights.instance.get(texel).map_or(1.0, |&i| self.growth[i as usize]);
+                let next = self.direct.allocate(budget, texels, growth);
+                self.growth.fill(1.0);
                 let before = self.direct.all_samples();
                 self.direct.extend(&|half, texel| next.more[half][texel], next.steering, self.options.seed, &light);
                 // Where all texels have the most that they may take, none takes any.
@@ -441,7 +438,7 @@ impl Solver<'_, '_> {
             if s.error.high <= GATHER_FROM * target {
                 round.gather = plan.gather;
             }
-            let mut growth = vec![0.0; self.importance.len()];
+            let mut growth = vec![0.0; self.growth.len()];
             plan.direct.iter().for_each(|&(i, factor)| growth[i] = factor.min(most * MOST_MESH_GROWTH) - 1.0);
             let of = |(texel, &i): (usize, &u32)| {
                 growth[i as usize] * f64::from(self.direct.samples(0, texel) + self.direct.samples(1, texel))
@@ -477,10 +474,7 @@ impl Solver<'_, '_> {
         wish.gather = affordable.map(|c| c.1).collect();
         wish.gather.iter().for_each(|&(instance, rays)| self.gathered[instance] = rays);
         for &(instance, factor) in &wish.direct {
-            let importance = &mut self.importance[instance];
-            // Samples go with its square root.
-            let growth = factor.min(MOST_REDUCTION * MOST_MESH_GROWTH) as f32;
-            *importance = (*importance * growth * growth).min(MOST_IMPORTANCE);
+            self.growth[instance] = factor.min(MOST_REDUCTION * MOST_MESH_GROWTH);
         }
         (wish.samples > 0 || wish.photons > 0 || !wish.gather.is_empty()).then_some(wish)
     }
