@@ -132,17 +132,6 @@ pub struct Known<'a> {
     pub start_noise: f64,
 }
 
-impl Known<'_> {
-    /// Sum over the texels of weight times squared indirect light, mean over the channels.
-    fn indirect_square(&self) -> f64 {
-        if self.start_noise == 0.0 {
-            return 0.0;
-        }
-        let of = |(i, w): (usize, &f64)| w * f64::from(self.indirect.mean(i).length_squared()) / 3.0;
-        self.weights.weight.iter().enumerate().filter(|w| *w.1 > 0.0).map(of).sum()
-    }
-}
-
 #[derive(Clone, Copy, Default)]
 struct Sums {
     weight: f64,
@@ -153,6 +142,8 @@ struct Sums {
     square_y: f64,
     direct: f64,
     indirect: f64,
+    /// Squared indirect light itself.
+    indirect_light: f64,
     apart: f64,
 }
 
@@ -178,6 +169,7 @@ pub fn texel_error(known: &Known) -> TexelError {
                     s.square_y += w * luminance(d).powi(2);
                     s.direct += w * third(direct.difference(i));
                     s.indirect += w * third(indirect.difference(i));
+                    s.indirect_light += w * third(indirect.mean(i));
                     s.apart += w * third(apart.difference(i));
                 }
             }
@@ -192,7 +184,7 @@ pub fn texel_error(known: &Known) -> TexelError {
     let mean = mean / weight;
     let percent = |square: f64| 100.0 * (square.max(0.0) / weight).sqrt() / mean;
     // Upper and lower end of the noise, taken as chi-square.
-    let common = known.start_noise * known.indirect_square();
+    let common = known.start_noise * sum(|s| s.indirect_light);
     let variance = apart_variance(&blocks) + smoothed_variance(known) + 2.0 * common * common;
     // Never more degrees of freedom than texels that count.
     let texels = weight * weight / sum(|s| s.square_weight);

@@ -1,7 +1,8 @@
 //! What a bake will take, before it is taken.
 
 use super::Atlas;
-use super::texels::{NO_TEXEL, TransportGrid};
+use super::texels::NO_TEXEL;
+use super::transport::TransportGrid;
 use crate::error::BakeError;
 use crate::scene::{Scene, TriangleRef, World};
 

@@ -13,15 +13,18 @@ mod memory;
 mod pack;
 mod pieces;
 mod planar;
+mod sampler;
 mod select;
 mod texels;
+mod transport;
 pub mod unwrap;
 mod uvunwrap;
 mod xatlas;
 
 pub use layout::build;
 pub use memory::{check_memory, memory_bytes};
-pub use texels::{NO_TEXEL, Piece, Texel, TexelSampler, Texels};
+pub use sampler::TexelSampler;
+pub use texels::{NO_TEXEL, Piece, Texel, Texels};
 pub use uvunwrap::{Uvunwrap, silence_unwrapper_panics};
 pub use xatlas::{WORKER_COMMAND, XatlasWorker, worker_main};
 

@@ -8,8 +8,9 @@
 //! texels* on a small grid of their own, so that the light they send out is known like that of all others.
 
 use super::Atlas;
+use super::transport::{TransportGrid, reflects};
 use crate::scene::{SurfaceFlags, World};
-use glam::{DVec2, Vec2, Vec3};
+use glam::{DVec2, Vec2};
 use rayon::prelude::*;
 
 /// Marks a grid cell or triangle without a texel.
@@ -45,13 +46,13 @@ pub struct Texel {
 
 /// Where a triangle lies on the grid.
 #[derive(Debug, Clone, Copy)]
-struct GridTriangle {
+pub(super) struct GridTriangle {
     /// Corners in cells, relative to the grid's first cell.
-    corners: [Vec2; 3],
+    pub(super) corners: [Vec2; 3],
     /// Index of the grid's first cell; `NO_TEXEL` if the triangle has none.
-    base: u32,
+    pub(super) base: u32,
     /// Grid width and height in cells.
-    width: u32,
+    pub(super) width: u32,
     height: u32,
     /// The cell that holds most of the triangle, for points that rounding puts into an empty cell.
     home: u32,
@@ -66,7 +67,7 @@ pub struct Texels {
     pub pieces: Vec<Piece>,
     /// How many of `texels` are on the map.
     pub mapped: usize,
-    triangles: Vec<GridTriangle>,
+    pub(super) triangles: Vec<GridTriangle>,
     front: Vec<u32>,
     back: Vec<u32>,
     page_base: Vec<u32>,
@@ -88,12 +89,6 @@ const ROWS: usize = 64;
 
 /// Triangles that are clipped together.
 const TRIANGLES: usize = 128;
-
-/// Cells per transport triangle at most; larger ones get coarser cells.
-const MAX_TRANSPORT_CELLS: f64 = 4096.0;
-
-/// Cells of all transport triangles together, but for one of each: all get coarser cells where there are more.
-const ALL_TRANSPORT_CELLS: f64 = (1 << 20) as f64;
 
 impl Texels {
     /// Clips every triangle of `world` against the grid of `atlas`.
@@ -301,7 +296,7 @@ fn place_triangles(world: &World, atlas: &Atlas, page_base: &[u32], cells: &mut 
                     home: NO_TEXEL,
                 };
             }
-            if flags.has(SurfaceFlags::UNLIT) {
+            if !reflects(flags) {
                 return none;
             }
             let (corners, width, height) = transport.place(world, id);
@@ -310,61 +305,6 @@ fn place_triangles(world: &World, atlas: &Atlas, page_base: &[u32], cells: &mut 
             GridTriangle { corners, base, width, height, home: NO_TEXEL }
         })
         .collect()
-}
-
-/// How finely triangles without a place on the map are divided.
-pub(super) struct TransportGrid {
-    /// Cells per frame unit.
-    density: f64,
-    /// Cells of all.
-    pub(super) cells: u64,
-}
-
-impl TransportGrid {
-    pub(super) fn new(world: &World, atlas: &Atlas) -> TransportGrid {
-        let ids: Vec<usize> = (0..world.len())
-            .into_par_iter()
-            .filter(|&id| {
-                let flags = world.flags[id];
-                !flags.has(SurfaceFlags::DEGENERATE)
-                    && !flags.has(SurfaceFlags::UNLIT)
-                    && atlas.texel_coordinates(world.scene, world.refs[id]).is_none()
-            })
-            .collect();
-        // Transport texels are twice as long as the map's: they only steer where light starts.
-        let density = (atlas.texels_per_metre * world.frame.metres * 0.5).max(1.0);
-        let mut grid = TransportGrid { density, cells: 0 };
-        let all = |grid: &TransportGrid| -> u64 {
-            let cells = |&id: &usize| {
-                let (_, width, height) = grid.place(world, id);
-                u64::from(width) * u64::from(height)
-            };
-            ids.par_iter().map(cells).sum()
-        };
-        grid.cells = all(&grid);
-        while grid.cells as f64 > ALL_TRANSPORT_CELLS + ids.len() as f64 {
-            grid.density *= 0.5;
-            grid.cells = all(&grid);
-        }
-        grid
-    }
-
-    /// Corners of a triangle in cells, and the width and height of its grid: its first corner on the first row, its
-    /// second on the x axis.
-    fn place(&self, world: &World, id: usize) -> ([Vec2; 3], u32, u32) {
-        let [a, b, c] = world.positions[id].map(|p| p.as_dvec3());
-        let (e1, e2) = (b - a, c - a);
-        let length = e1.length();
-        let x = e1.dot(e2) / length;
-        let y = (e2.length_squared() - x * x).max(0.0).sqrt();
-        let shift = (-x).max(0.0);
-        let (w, h) = (length.max(x) + shift, y);
-        let scale =
-            self.density.min((MAX_TRANSPORT_CELLS / (w * h).max(1e-30)).sqrt()).min(MAX_TRANSPORT_CELLS / w.max(h));
-        let (width, height) = ((w * scale).ceil().max(1.0) as u32, (h * scale).ceil().max(1.0) as u32);
-        let at = |x: f64, y: f64| (DVec2::new(x + shift, y) * scale).as_vec2();
-        ([at(0.0, 0.0), at(length, 0.0), at(x, y)], width, height)
-    }
 }
 
 /// Appends the pieces of a triangle.
@@ -437,7 +377,7 @@ fn cover_row(q: &[DVec2; 3], y: u32, columns: std::ops::Range<u32>, mut cover: i
 }
 
 /// The part of a triangle in row `y`.
-fn row_of(q: &[DVec2; 3], y: u32) -> Polygon {
+pub(super) fn row_of(q: &[DVec2; 3], y: u32) -> Polygon {
     clip(&clip(&Polygon::triangle(*q), 1, f64::from(y), 1.0), 1, f64::from(y + 1), -1.0)
 }
 
@@ -504,7 +444,7 @@ impl Polygon {
         &self.points[..self.len]
     }
 
-    fn area(&self) -> f64 {
+    pub(super) fn area(&self) -> f64 {
         let p = self.points();
         (2..p.len()).map(|i| (p[i - 1] - p[0]).perp_dot(p[i] - p[0])).sum::<f64>().abs() * 0.5
     }
@@ -535,7 +475,7 @@ fn clip(p: &Polygon, axis: usize, line: f64, side: f64) -> Polygon {
     out
 }
 
-fn clip_columns(row: &Polygon, x: u32) -> Polygon {
+pub(super) fn clip_columns(row: &Polygon, x: u32) -> Polygon {
     clip(&clip(row, 0, f64::from(x), 1.0), 0, f64::from(x + 1), -1.0)
 }
 
@@ -548,143 +488,6 @@ fn morton(x: u32, y: u32) -> u32 {
         (v | v << 1) & 0x5555_5555
     };
     spread(x) | spread(y) << 1
-}
-
-/// Draws points of one texel, uniform in surface area.
-#[derive(Debug, Clone, Default)]
-pub struct TexelSampler {
-    fans: Vec<Fan>,
-    square: Option<Fan>,
-    /// Share of a piece's size that stays free along its border.
-    margin: f32,
-}
-
-/// Points stay away from the border of a texel's pieces by some roundings [frame units]: a wall that stands there is
-/// never between a point and where rounding puts it, ...
-const AWAY: f32 = 8e-6;
-
-/// ... but for no more than this share of the texel's side.
-const MOST_MARGIN: f32 = 0.01;
-
-/// A triangle of barycentric coordinates, or a parallelogram where it stands for a whole cell.
-#[derive(Debug, Clone, Copy)]
-struct Fan {
-    triangle: u32,
-    corner: Vec2,
-    edges: [Vec2; 2],
-    /// Middle of the piece that it is a part of.
-    middle: Vec2,
-    /// Share of the texel's area up to and including this one.
-    cumulative: f32,
-}
-
-impl TexelSampler {
-    /// Prepares to draw from a texel.
-    pub fn load(&mut self, texels: &Texels, texel: usize) {
-        self.fans.clear();
-        self.square = None;
-        let t = &texels.texels[texel];
-        self.margin = (AWAY / t.area.sqrt()).min(MOST_MARGIN);
-        let total: f64 = texels.pieces_of(texel).iter().map(|p| f64::from(p.area)).sum();
-        let mut cumulative = 0.0f64;
-        for piece in texels.pieces_of(texel) {
-            let grid = &texels.triangles[piece.triangle as usize];
-            let local = t.cell - grid.base;
-            let (x, y) = (local % grid.width, local / grid.width);
-            let q = grid.corners.map(|c| c.as_dvec2());
-            let det = (q[1] - q[0]).perp_dot(q[2] - q[0]);
-            let barycentric = |p: DVec2| {
-                let d = p - q[0];
-                DVec2::new(d.perp_dot(q[2] - q[0]) / det, (q[1] - q[0]).perp_dot(d) / det)
-            };
-            let cell = clip_columns(&row_of(&q, y), x);
-            let area = cell.area();
-            if area <= 1e-9 || det == 0.0 {
-                // A piece thinner than rounding: its triangle's centre stands for it.
-                cumulative += f64::from(piece.area) / total;
-                let corner = Vec2::splat(1.0 / 3.0);
-                self.fans.push(Fan {
-                    triangle: piece.triangle,
-                    corner,
-                    edges: [Vec2::ZERO; 2],
-                    middle: corner,
-                    cumulative: cumulative as f32,
-                });
-                continue;
-            }
-            if area > 1.0 - 1e-9 && t.piece_count == 1 {
-                let p = DVec2::new(f64::from(x), f64::from(y));
-                let corner = barycentric(p);
-                let edges = [barycentric(p + DVec2::X) - corner, barycentric(p + DVec2::Y) - corner];
-                self.square = Some(Fan {
-                    triangle: piece.triangle,
-                    corner: corner.as_vec2(),
-                    edges: edges.map(|e| e.as_vec2()),
-                    middle: (corner + (edges[0] + edges[1]) * 0.5).as_vec2(),
-                    cumulative: 1.0,
-                });
-                return;
-            }
-            let points = cell.points();
-            let middle = barycentric(points.iter().sum::<DVec2>() / points.len() as f64).as_vec2();
-            for i in 2..points.len() {
-                let share = 0.5 * (points[i - 1] - points[0]).perp_dot(points[i] - points[0]).abs() / area;
-                cumulative += share * f64::from(piece.area) / total;
-                let corner = barycentric(points[0]);
-                let edges = [barycentric(points[i - 1]) - corner, barycentric(points[i]) - corner];
-                self.fans.push(Fan {
-                    triangle: piece.triangle,
-                    corner: corner.as_vec2(),
-                    edges: edges.map(|e| e.as_vec2()),
-                    middle,
-                    cumulative: cumulative as f32,
-                });
-            }
-        }
-    }
-
-    /// Centroid of the texel's surface [frame units] and its unit mean normal on the front; the normal of one of
-    /// its triangles where they cancel. [`load`](Self::load) must have been called.
-    pub fn centre(&self, world: &World) -> (Vec3, Vec3) {
-        if let Some(s) = &self.square {
-            return (world.position(s.triangle, inside(s.middle)), world.normals[s.triangle as usize]);
-        }
-        let (mut position, mut normal, mut below) = (Vec3::ZERO, Vec3::ZERO, 0.0);
-        for f in &self.fans {
-            let share = f.cumulative - below;
-            below = f.cumulative;
-            let middle = inside(f.corner + (f.edges[0] + f.edges[1]) / 3.0);
-            position += share * world.position(f.triangle, middle);
-            normal += share * world.normals[f.triangle as usize];
-        }
-        let normal = normal.try_normalize().unwrap_or(world.normals[self.fans[0].triangle as usize]);
-        (position / below, normal)
-    }
-
-    /// Triangle and barycentric weights of the point at `u` of the unit square. [`load`](Self::load) must
-    /// have been called.
-    pub fn sample(&self, u: Vec2) -> (u32, Vec2) {
-        if let Some(s) = &self.square {
-            let u = u * (1.0 - 2.0 * self.margin) + self.margin;
-            return (s.triangle, inside(s.corner + s.edges[0] * u.x + s.edges[1] * u.y));
-        }
-        let last = self.fans.len() - 1;
-        let i = self.fans.partition_point(|f| f.cumulative <= u.x).min(last);
-        let below = if i == 0 { 0.0 } else { self.fans[i - 1].cumulative };
-        let f = &self.fans[i];
-        let x = ((u.x - below) / (f.cumulative - below).max(1e-20)).clamp(0.0, 1.0);
-        let w = crate::sampling::uniform_triangle(Vec2::new(x, u.y));
-        let point = f.corner + f.edges[0] * w.x + f.edges[1] * w.y;
-        // A third of a triangle's height lies below its middle.
-        (f.triangle, inside(point + (f.middle - point) * (3.0 * self.margin).min(2.0 * MOST_MARGIN)))
-    }
-}
-
-/// Weights pushed back into the triangle where rounding put them outside.
-fn inside(w: Vec2) -> Vec2 {
-    let w = w.clamp(Vec2::ZERO, Vec2::ONE);
-    let sum = w.x + w.y;
-    if sum > 1.0 { w / sum } else { w }
 }
 
 #[cfg(test)]

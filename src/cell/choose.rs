@@ -199,8 +199,9 @@ pub fn dispersion(tree: &SurfaceTree, halves: [&Caught; 2]) -> Vec<f32> {
 
 /// Squared difference of the halves of single elements, summed over the channels, in proportion to the variance that
 /// their own samples show: 3 where samples are random, less where they are so many that their low-discrepancy
-/// sequence tells. Pooled over regions of neighbours.
+/// sequence tells. Pooled over regions of neighbours; empty where elements have no samples of their own.
 pub fn scatter(tree: &SurfaceTree, halves: [&Caught; 2]) -> Vec<f32> {
+    let [Some(odd), Some(even)] = halves.map(|h| h.samples.as_ref()) else { return Vec::new() };
     let mut out = vec![3.0; tree.elements.len()];
     for region in tree.cut(|n| n.elements.len() <= SCATTER_REGION) {
         let n = region.elements.len() as f64;
@@ -208,7 +209,7 @@ pub fn scatter(tree: &SurfaceTree, halves: [&Caught; 2]) -> Vec<f32> {
         for k in region.elements.clone() {
             let difference = |c: usize| f64::from(halves[0].flux[k][c]) - f64::from(halves[1].flux[k][c]);
             seen += (0..3).map(|c| difference(c).powi(2)).sum::<f64>();
-            shown += halves.iter().filter_map(|h| h.samples.as_ref()).map(|s| s.scatter[k]).sum::<f64>();
+            shown += odd.scatter[k] + even.scatter[k];
         }
         if shown > 0.0 {
             out[region.elements].fill(((seen / shown * n + 3.0 * SCATTER_DRAWN) / (n + SCATTER_DRAWN)) as f32);

@@ -174,8 +174,6 @@ struct Solver<'a, 'o> {
     gathered_at: Vec<(u32, u64)>,
     /// Gathered indirect light of both halves by texel.
     kept: HashMap<u32, [Gathered; 2]>,
-    /// Factor by which the direct samples of each instance are to grow in this round.
-    growth: Vec<f64>,
     /// Texels of each instance on the map.
     texels_of: Vec<usize>,
     /// Photons per half, and nets per half so far.
@@ -216,7 +214,6 @@ pub fn solve(
         gather_rays: 0,
         gathered_at: vec![(0, 0); instances],
         kept: HashMap::new(),
-        growth: vec![1.0; instances],
         texels_of,
         photons: 0,
         nets: 0,
@@ -240,6 +237,15 @@ struct Round {
     direct: Vec<(usize, f64)>,
     /// (instance, gather rays of each texel and half) from now on.
     gather: Vec<(usize, u32)>,
+}
+
+impl Round {
+    /// Factor on the direct samples of each of all instances.
+    fn growth(&self, instances: usize) -> Vec<f64> {
+        let mut growth = vec![1.0; instances];
+        self.direct.iter().for_each(|&(instance, factor)| growth[instance] = factor);
+        growth
+    }
 }
 
 impl Solver<'_, '_> {
@@ -288,7 +294,7 @@ impl Solver<'_, '_> {
 
     /// Traces one round; the name of the limit that ended it early.
     fn trace(&mut self, round: &Round) -> Result<Option<&'static str>, BakeError> {
-        if let Some(limit) = self.sample(round.samples)? {
+        if let Some(limit) = self.sample(round)? {
             return Ok(Some(limit));
         }
         let limit = self.shoot(round.photons)?;
@@ -296,10 +302,11 @@ impl Solver<'_, '_> {
     }
 
     /// Takes direct samples; the limit that ended them early.
-    fn sample(&mut self, samples: u64) -> Result<Option<&'static str>, BakeError> {
+    fn sample(&mut self, round: &Round) -> Result<Option<&'static str>, BakeError> {
         let texels = self.path.texels;
         let light = self.path.light(self.options.normals == Normals::Smooth);
-        let mut left = samples;
+        let mut growth = round.growth(self.texels_of.len());
+        let mut left = round.samples;
         while left > 0 {
             let started = Instant::now();
             let most = MOST_SAMPLES_AT_ONCE.max(MOST_PER_TEXEL_AT_ONCE * texels.texels.len() as u64);
@@ -308,9 +315,9 @@ impl Solver<'_, '_> {
                 self.direct.extend(&|_, _| FIRST_SAMPLES, FIRST_SAMPLES, self.options.seed, &light);
                 left = 0;
             } else {
-                let growth = |texel: usize| self.weights.instance.get(texel).map_or(1.0, |&i| self.growth[i as usize]);
-                let next = self.direct.allocate(budget, texels, growth);
-                self.growth.fill(1.0);
+                let of = |texel: usize| self.weights.instance.get(texel).map_or(1.0, |&i| growth[i as usize]);
+                let next = self.direct.allocate(budget, texels, of);
+                growth.fill(1.0);
                 let before = self.direct.all_samples();
                 self.direct.extend(&|half, texel| next.more[half][texel], next.steering, self.options.seed, &light);
                 // Where all texels have the most that they may take, none takes any.
@@ -438,14 +445,14 @@ impl Solver<'_, '_> {
             if s.error.high <= GATHER_FROM * target {
                 round.gather = plan.gather;
             }
-            let mut growth = vec![0.0; self.growth.len()];
-            plan.direct.iter().for_each(|&(i, factor)| growth[i] = factor.min(most * MOST_MESH_GROWTH) - 1.0);
+            round.direct =
+                plan.direct.into_iter().map(|(i, factor)| (i, factor.min(most * MOST_MESH_GROWTH))).collect();
+            let growth = round.growth(self.texels_of.len());
             let of = |(texel, &i): (usize, &u32)| {
-                growth[i as usize] * f64::from(self.direct.samples(0, texel) + self.direct.samples(1, texel))
+                (growth[i as usize] - 1.0) * f64::from(self.direct.samples(0, texel) + self.direct.samples(1, texel))
             };
             let more: f64 = self.weights.instance.iter().enumerate().map(of).sum();
             round.samples = round.samples.saturating_add(more.ceil().min(1e18) as u64);
-            round.direct = plan.direct;
         }
         if self.flux.is_some() {
             round.photons = (self.photons as f64 * (y - 1.0)).ceil().min(1e18) as u64;
@@ -473,9 +480,6 @@ impl Solver<'_, '_> {
         });
         wish.gather = affordable.map(|c| c.1).collect();
         wish.gather.iter().for_each(|&(instance, rays)| self.gathered[instance] = rays);
-        for &(instance, factor) in &wish.direct {
-            self.growth[instance] = factor.min(MOST_REDUCTION * MOST_MESH_GROWTH);
-        }
         (wish.samples > 0 || wish.photons > 0 || !wish.gather.is_empty()).then_some(wish)
     }
 
