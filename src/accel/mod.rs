@@ -15,7 +15,7 @@ mod wide;
 
 pub use coincident::{LAYERS, PARTING, coincident_warning, part_coincident};
 pub use kernel::Kernel;
-pub use offset::offset_origin;
+pub use offset::{offset_origin, reflected_origin};
 
 use glam::Vec3;
 use ray::PreparedRay;

@@ -240,9 +240,9 @@ impl Auditor<'_> {
                 break;
             }
             let uv = Vec2::new(hit.u, hit.v);
-            let Met { back, facing, reflected: albedo, passed, .. } = world.meet(hit.triangle, uv, ray.direction);
+            let Met { facing, reflected: albedo, passed, .. } = world.meet(hit.triangle, uv, ray.direction);
+            let lit = Receiver::met(world, hit.triangle, uv, ray.direction, hit.t);
             if albedo != Vec3::ZERO {
-                let lit = Receiver::new(world, hit.triangle, uv, back, false);
                 sum += carried * reflecting.any_light(lit, stream, rays).sent;
             }
             // Roulette by what is left of the path.
@@ -250,14 +250,13 @@ impl Auditor<'_> {
             let whole = (r + p).max(1e-30);
             let alive = whole.min(1.0);
             let pick = stream.unit() * (whole / alive);
-            let (position, extent) = (world.position(hit.triangle, uv), world.extent(hit.triangle));
             if pick < r {
                 carried *= albedo * (whole / (r * alive));
                 let direction = cosine_hemisphere(facing, Vec2::new(stream.unit(), stream.unit()));
-                ray = Ray { origin: offset_origin(position, facing, extent), direction, t_max: f32::INFINITY };
+                ray = Ray { origin: lit.origin, direction, t_max: f32::INFINITY };
             } else if pick < r + p {
                 carried *= passed * (whole / (p * alive));
-                ray.origin = offset_origin(position, -facing, extent);
+                ray.origin = offset_origin(world.position(hit.triangle, uv), -facing, world.extent(hit.triangle));
             } else {
                 break;
             }

@@ -115,6 +115,7 @@ impl Gather<'_> {
                 return sum;
             }
             let texel = if receives { texels.at(hit.triangle, back, uv) } else { None };
+            let met = Receiver::met(world, hit.triangle, uv, ray.direction, hit.t);
             let mut reflected = albedo;
             if let Some(texel) = texel {
                 let texel = texel as usize;
@@ -129,12 +130,8 @@ impl Gather<'_> {
                 };
                 // Half a shadowed texel is not as bright as its mean.
                 let near = hit.t < NEAR * texels.texels[texel].area.sqrt();
-                let sent = if near {
-                    let at = Receiver::new(world, hit.triangle, uv, back, false);
-                    self.light.any_light(at, stream, rays).sent
-                } else {
-                    self.sent_directly(half, texel)
-                };
+                let sent =
+                    if near { self.light.any_light(met, stream, rays).sent } else { self.sent_directly(half, texel) };
                 sum += carried * sent * weight;
                 // What is near would be looked up too blurred: a few bounces more, and it no longer matters.
                 let mapped = texel < texels.mapped;
@@ -147,18 +144,16 @@ impl Gather<'_> {
             // What has no place on the map has no light to look up: go on to where it gets its own.
             let (r, p) = (reflected.max_element(), passed.max_element());
             let pick = stream.unit() * (r + p).max(1.0);
-            let position = world.position(hit.triangle, uv);
-            let extent = world.extent(hit.triangle);
             if pick < r {
                 near_steps = (near_steps + 1).min(MOST_NEAR_STEPS);
                 carried *= reflected / r * (r + p).max(1.0);
                 let direction = cosine_hemisphere(facing, Vec2::new(stream.unit(), stream.unit()));
-                ray = Ray { origin: offset_origin(position, facing, extent), direction, t_max: f32::INFINITY };
+                ray = Ray { origin: met.origin, direction, t_max: f32::INFINITY };
                 straight = None;
             } else if pick < r + p {
                 carried *= passed / p * (r + p).max(1.0);
                 straight = straight.map(|gone| gone + hit.t);
-                ray.origin = offset_origin(position, -facing, extent);
+                ray.origin = offset_origin(world.position(hit.triangle, uv), -facing, world.extent(hit.triangle));
             } else {
                 return sum;
             }

@@ -19,6 +19,9 @@ pub struct Receiver {
     pub shading_normal: Vec3,
 }
 
+/// Origins move towards the inner of their triangle by this share of their height.
+const ASIDE: f32 = 0.71;
+
 impl Receiver {
     /// The point of `triangle` at `uv`, seen from its front or back.
     pub fn new(world: &World, triangle: u32, uv: Vec2, back: bool, smooth: bool) -> Receiver {
@@ -27,7 +30,20 @@ impl Receiver {
         let shading_normal = if smooth { world.shading_normal(triangle, uv) * side } else { geometric_normal };
         let position = world.position(triangle, uv);
         let origin = accel::offset_origin(position, geometric_normal, world.extent(triangle));
+        // Straight up from an edge, it could be behind a surface that leans over there, inside a solid.
+        let inwards = world.inner(triangle) - position;
+        let aside = (ASIDE * (origin - position).length() / inwards.length().max(f32::MIN_POSITIVE)).min(1.0);
+        let origin = origin + inwards * aside;
         Receiver { triangle, uv, origin, geometric_normal, shading_normal }
+    }
+
+    /// The point of `triangle` at `uv` where light arrives along `arriving`, over a free way of length `way`.
+    pub fn met(world: &World, triangle: u32, uv: Vec2, arriving: Vec3, way: f32) -> Receiver {
+        let normal = world.normals[triangle as usize];
+        let side = if normal.dot(arriving) > 0.0 { -normal } else { normal };
+        let (position, extent) = (world.position(triangle, uv), world.extent(triangle));
+        let origin = accel::reflected_origin(position, side, extent, arriving, way);
+        Receiver { triangle, uv, origin, geometric_normal: side, shading_normal: side }
     }
 
     /// Cosines of a unit direction with the geometric and the shading normal; both 0 below the surface.

@@ -104,10 +104,11 @@ pub fn walk(
         };
         let extent = world.extent(hit.triangle);
         let position = world.position(hit.triangle, uv);
-        let origin = accel::offset_origin(position, side, extent);
-        // A hair back to where the photon came from as well: next to a wall, rounding may have put the position
-        // on the wall's far side, but the photon never was there.
-        let origin = if reflects { origin - photon.ray.direction * (origin - position).length() } else { origin };
+        let origin = if reflects {
+            accel::reflected_origin(position, side, extent, photon.ray.direction, hit.t)
+        } else {
+            accel::offset_origin(position, side, extent)
+        };
         photon = Photon { ray: Ray { origin, direction, t_max: f32::INFINITY }, flux };
     }
     add(&mut ledger.cut, photon.flux);

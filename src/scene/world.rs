@@ -220,6 +220,11 @@ impl<'s> World<'s> {
         a * (1.0 - uv.x - uv.y) + b * uv.x + c * uv.y
     }
 
+    /// A point of a triangle off all its edges and lines of symmetry.
+    pub fn inner(&self, triangle: u32) -> Vec3 {
+        self.position(triangle, INNER)
+    }
+
     /// Barycentric weights of the point of a triangle that lies a hair, a few roundings, before `uv` on a way along
     /// `direction`. Next to a wall that stands on the triangle, rounding may put a point where light arrives on the
     /// wall's far side; this one is where the light has been. Beside an edge that the light came over, it is a hair
@@ -234,9 +239,8 @@ impl<'s> World<'s> {
         if moved.min_element() >= 0.0 && moved.element_sum() <= 1.0 {
             return moved;
         }
-        let inwards = INNER - uv;
-        let way = (ab * inwards.x + ac * inwards.y).length();
-        uv + inwards * (hair / way).min(1.0)
+        let way = (self.inner(triangle) - self.position(triangle, uv)).length();
+        uv + (INNER - uv) * (hair / way).min(1.0)
     }
 
     /// The primitive of a triangle and its vertex indices.
