@@ -234,7 +234,7 @@ impl Auditor<'_> {
         let mut in_crevice = 0;
         for _ in 0..MAX_SURFACES {
             *rays += 1;
-            let Some(hit) = visibility.first(&ray) else { break };
+            let Some(hit) = visibility.accel.closest(&ray) else { break };
             in_crevice = if hit.t < self.crevice { in_crevice + 1 } else { 0 };
             if in_crevice > MOST_CREVICE_STEPS {
                 break;

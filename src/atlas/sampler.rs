@@ -16,7 +16,7 @@ pub struct TexelSampler {
 
 /// Points stay away from the border of a texel's pieces by some roundings [frame units]: a wall that stands there is
 /// never between a point and where rounding puts it, ...
-const AWAY: f32 = 8e-6;
+const AWAY: f32 = 1.6e-5;
 
 /// ... but for no more than this share of the texel's side.
 const MOST_MARGIN: f32 = 0.01;

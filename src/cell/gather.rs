@@ -107,14 +107,15 @@ impl Gather<'_> {
         let mut near_steps = 0;
         for _ in 0..MAX_SURFACES {
             *rays += 1;
-            let Some(hit) = visibility.first(&ray) else { return sum };
+            let Some(hit) = visibility.accel.closest(&ray) else { return sum };
             let uv = Vec2::new(hit.u, hit.v);
             let Met { back, facing, receives, passes, reflected: albedo, passed } =
                 world.meet(hit.triangle, uv, ray.direction);
             if !receives && !passes {
                 return sum;
             }
-            let texel = if receives { texels.at(hit.triangle, back, uv) } else { None };
+            let before = || world.hair_before(hit.triangle, uv, ray.direction);
+            let texel = if receives { texels.at(hit.triangle, back, before()) } else { None };
             let met = Receiver::met(world, hit.triangle, uv, ray.direction, hit.t);
             let mut reflected = albedo;
             if let Some(texel) = texel {

@@ -23,14 +23,6 @@ impl<'a> Visibility<'a> {
         Visibility { world, accel, some_pass }
     }
 
-    /// The first surface along a ray, met where the light has been: a hair before rounding would have it.
-    pub fn first(&self, ray: &Ray) -> Option<Hit> {
-        self.accel.closest(ray).map(|hit| {
-            let before = self.world.hair_before(hit.triangle, Vec2::new(hit.u, hit.v), ray.direction);
-            Hit { u: before.x, v: before.y, ..hit }
-        })
-    }
-
     /// The nearest surface less than `reach` straight above a point of another, if light does not pass it. `origin` is
     /// off that point's own surface already.
     pub fn opaque_above(&self, origin: Vec3, normal: Vec3, reach: f32) -> Option<Hit> {

@@ -44,7 +44,7 @@ pub fn walk(
     let mut gone = 0.0;
     for _ in 0..MAX_SURFACES {
         ledger.rays += 1;
-        let Some(hit) = visibility.first(&photon.ray) else {
+        let Some(hit) = visibility.accel.closest(&photon.ray) else {
             add(&mut ledger.escaped, photon.flux);
             return;
         };
@@ -58,7 +58,7 @@ pub fn walk(
             trail.deposits.push(Deposit {
                 triangle: hit.triangle,
                 back: met.back,
-                uv,
+                uv: world.hair_before(hit.triangle, uv, photon.ray.direction),
                 flux: photon.flux,
                 direction: photon.ray.direction,
                 distance: gone + hit.t,
