@@ -354,7 +354,7 @@ fn no_light_passes_a_fold() {
     b.room(Vec3::new(-1.0, 0.0, -1.0), Vec3::ONE, wall, 8);
     let white = b.material(Material { base_color: Vec4::ONE, double_sided: true, ..Material::default() });
     let corner = |k: u32| {
-        let radius = if k % 2 == 0 { 0.6 } else { 0.45 };
+        let radius = if k.is_multiple_of(2) { 0.6 } else { 0.45 };
         let angle = (0.3 + f64::from(k % (2 * PLEATS)) * PI / f64::from(PLEATS)) as f32;
         Vec3::new(radius * angle.cos(), 0.0, radius * angle.sin())
     };
