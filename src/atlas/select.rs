@@ -27,6 +27,12 @@ pub(super) fn baked_instances(scene: &Scene, options: &BakeOptions) -> Result<Ve
             i.bake && chosen && !options.exclude.contains(&i.name) && mesh.primitives.iter().any(receives)
         })
         .collect();
+    if scene.instances.is_empty() {
+        return Err(BakeError::Nothing(format!(
+            "{}: has no nodes with triangle meshes, which are all that lightmaps are baked for",
+            scene.name
+        )));
+    }
     if !baked.contains(&true) {
         return Err(BakeError::Nothing(format!(
             "{}: none of its {} nodes with meshes is left to bake; look at --only, --exclude, `bake` in the nodes' \

@@ -168,6 +168,8 @@ pub struct Allocation {
     pub more: [Vec<u32>; 2],
     /// The first of these, as many everywhere, steer those to come.
     pub steering: u32,
+    /// Share of the growth asked for that these are.
+    pub grown: f64,
 }
 
 /// Direct light of all texels, gathered so far.
@@ -247,8 +249,8 @@ impl Direct {
     }
 
     /// How many more samples each half of each texel should take, so that `budget` in all bring the noise down
-    /// most: in proportion to the square root of area times variance (Neyman 1934), counting what a texel has. It has
-    /// at least `growth(texel)` times as many after that, whatever the budget.
+    /// most: in proportion to the square root of area times variance (Neyman 1934), counting what a texel has. Up to
+    /// `share` of the budget goes first to where samples are to be `growth(texel)` times as many.
     ///
     /// What steers a texel are samples of the *other* texels around it, and of its own half: samples that every texel
     /// takes the same number of. The number of samples of a texel is then independent of their values, so that their
@@ -257,18 +259,28 @@ impl Direct {
     /// hence be so themselves, and be corrected, while those that miss it would not: that room lost 1 % of its light.
     /// (What all texels together decide, the scale here and when to stop, depends on any one of them by a part in
     /// their number; so does the growth of a mesh, in the number of its own.)
-    pub fn allocate(&self, budget: u64, texels: &Texels, growth: impl Fn(usize) -> f64 + Sync) -> Allocation {
+    pub fn allocate(
+        &self,
+        budget: u64,
+        texels: &Texels,
+        growth: impl Fn(usize) -> f64 + Sync,
+        share: f64,
+    ) -> Allocation {
         let all = 2 * texels.texels.len().max(1) as u64;
         let steering =
             ((STEERING_SHARE * (self.samples + budget) as f64 / all as f64) as u32).saturating_sub(self.steering);
         let steering = steering.min((MAX_SAMPLES as u32).saturating_sub(self.steering));
         let steering = if steering < LEAST_MORE { 0 } else { steering };
+        let wanted = |(texel, have): (usize, &HalfTexel)| {
+            let have = f64::from(have.samples);
+            ((growth(texel) - 1.0) * have).min(MAX_SAMPLES - have)
+        };
+        // Whole samples, so that the sum is the same in any order.
+        let wanted_of =
+            |half: &Vec<HalfTexel>| half.par_iter().enumerate().map(|t| wanted(t).ceil() as u64).sum::<u64>();
+        let grown = (share * budget as f64 / self.halves.iter().map(wanted_of).sum::<u64>().max(1) as f64).min(1.0);
         let more = [0, 1].map(|half| {
-            let least = |(texel, have): (usize, &HalfTexel)| {
-                let have = f64::from(have.samples);
-                let grown = ((growth(texel) - 1.0) * have).min(MAX_SAMPLES - have);
-                u64::from(steering).max(grown as u64)
-            };
+            let least = |t: (usize, &HalfTexel)| u64::from(steering).max((wanted(t) * grown).ceil() as u64);
             let least = self.halves[half].par_iter().enumerate().map(least);
             let wished: Vec<(f64, u32, u64)> = self
                 .wishes(half, texels)
@@ -293,7 +305,7 @@ impl Direct {
             let scale = if more(low) > 0 { low } else { high };
             wished.iter().map(|w| more_samples(w, scale) as u32).collect()
         });
-        Allocation { more, steering }
+        Allocation { more, steering, grown }
     }
 
     /// Square root of area times variance of each texel, relative to the mean. The variance is that of its

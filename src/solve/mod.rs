@@ -307,6 +307,7 @@ impl Solver<'_, '_> {
         let light = self.path.light(self.options.normals == Normals::Smooth);
         let mut growth = round.growth(self.texels_of.len());
         let mut left = round.samples;
+        let share = if left > 0 { (self.samples_to_grow(&growth) / left as f64).min(1.0) } else { 0.0 };
         while left > 0 {
             let started = Instant::now();
             let most = MOST_SAMPLES_AT_ONCE.max(MOST_PER_TEXEL_AT_ONCE * texels.texels.len() as u64);
@@ -316,8 +317,8 @@ impl Solver<'_, '_> {
                 left = 0;
             } else {
                 let of = |texel: usize| self.weights.instance.get(texel).map_or(1.0, |&i| growth[i as usize]);
-                let next = self.direct.allocate(budget, texels, of);
-                growth.fill(1.0);
+                let next = self.direct.allocate(budget, texels, of, share);
+                growth.iter_mut().for_each(|g| *g /= 1.0 + (*g - 1.0) * next.grown);
                 let before = self.direct.all_samples();
                 self.direct.extend(&|half, texel| next.more[half][texel], next.steering, self.options.seed, &light);
                 // Where all texels have the most that they may take, none takes any.
@@ -330,6 +331,14 @@ impl Solver<'_, '_> {
             }
         }
         Ok(None)
+    }
+
+    /// Direct samples that make those of each instance so many times as many.
+    fn samples_to_grow(&self, growth: &[f64]) -> f64 {
+        let of = |(texel, &i): (usize, &u32)| {
+            (growth[i as usize] - 1.0) * f64::from(self.direct.samples(0, texel) + self.direct.samples(1, texel))
+        };
+        self.weights.instance.iter().enumerate().map(of).sum()
     }
 
     /// Shoots `photons` per half in nets; the limit that ended them early.
@@ -447,11 +456,7 @@ impl Solver<'_, '_> {
             }
             round.direct =
                 plan.direct.into_iter().map(|(i, factor)| (i, factor.min(most * MOST_MESH_GROWTH))).collect();
-            let growth = round.growth(self.texels_of.len());
-            let of = |(texel, &i): (usize, &u32)| {
-                (growth[i as usize] - 1.0) * f64::from(self.direct.samples(0, texel) + self.direct.samples(1, texel))
-            };
-            let more: f64 = self.weights.instance.iter().enumerate().map(of).sum();
+            let more = self.samples_to_grow(&round.growth(self.texels_of.len()));
             round.samples = round.samples.saturating_add(more.ceil().min(1e18) as u64);
         }
         if self.flux.is_some() {
