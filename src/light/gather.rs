@@ -9,6 +9,7 @@ use crate::sampling::{DIMENSIONS, Stream, hash_mix, hash_seed, sobol, unit_f32};
 use crate::scene::SurfaceFlags;
 use glam::{Vec2, Vec3};
 use rayon::prelude::*;
+use std::collections::BTreeMap;
 
 /// Start points kept per texel and half.
 pub const START_SLOTS: usize = 2;
@@ -250,7 +251,8 @@ impl Direct {
 
     /// How many more samples each half of each texel should take, so that `budget` in all bring the noise down
     /// most: in proportion to the square root of area times variance (Neyman 1934), counting what a texel has. Up to
-    /// `share` of the budget goes first to where samples are to be `growth(texel)` times as many.
+    /// `share` of the budget goes first to groups of texels whose samples are to be so many times as many: `growth` gives
+    /// the group of a texel, and the factor.
     ///
     /// What steers a texel are samples of the *other* texels around it, and of its own half: samples that every texel
     /// takes the same number of. The number of samples of a texel is then independent of their values, so that their
@@ -263,7 +265,7 @@ impl Direct {
         &self,
         budget: u64,
         texels: &Texels,
-        growth: impl Fn(usize) -> f64 + Sync,
+        growth: impl Fn(usize) -> (u32, f64),
         share: f64,
     ) -> Allocation {
         let all = 2 * texels.texels.len().max(1) as u64;
@@ -271,23 +273,16 @@ impl Direct {
             ((STEERING_SHARE * (self.samples + budget) as f64 / all as f64) as u32).saturating_sub(self.steering);
         let steering = steering.min((MAX_SAMPLES as u32).saturating_sub(self.steering));
         let steering = if steering < LEAST_MORE { 0 } else { steering };
-        let wanted = |(texel, have): (usize, &HalfTexel)| {
-            let have = f64::from(have.samples);
-            ((growth(texel) - 1.0) * have).min(MAX_SAMPLES - have)
-        };
+        let noise = [0, 1].map(|half| self.noise_around(half, texels));
+        let wanted = [0, 1].map(|half| self.wanted(half, &noise[half], &growth));
         // Whole samples, so that the sum is the same in any order.
-        let wanted_of =
-            |half: &Vec<HalfTexel>| half.par_iter().enumerate().map(|t| wanted(t).ceil() as u64).sum::<u64>();
-        let grown = (share * budget as f64 / self.halves.iter().map(wanted_of).sum::<u64>().max(1) as f64).min(1.0);
+        let sum: u64 = wanted.iter().flatten().map(|w| w.ceil() as u64).sum();
+        let grown = (share * budget as f64 / sum.max(1) as f64).min(1.0);
         let more = [0, 1].map(|half| {
-            let least = |t: (usize, &HalfTexel)| u64::from(steering).max((wanted(t) * grown).ceil() as u64);
-            let least = self.halves[half].par_iter().enumerate().map(least);
-            let wished: Vec<(f64, u32, u64)> = self
-                .wishes(half, texels)
-                .into_par_iter()
+            let wished: Vec<(f64, u32, u64)> = wishes(&noise[half])
                 .zip(&self.halves[half])
-                .zip(least)
-                .map(|((wish, have), least)| (wish, have.samples, least))
+                .zip(&wanted[half])
+                .map(|((wish, have), w)| (wish, have.samples, u64::from(steering).max((w * grown).ceil() as u64)))
                 .collect();
             let more_samples =
                 |&(wish, have, least): &(f64, u32, u64), scale: f64| more_samples(wish, scale, have).max(least);
@@ -308,21 +303,43 @@ impl Direct {
         Allocation { more, steering, grown }
     }
 
-    /// Square root of area times variance of each texel, relative to the mean. The variance is that of its
-    /// neighbours: a penumbra found by one texel is looked for in those beside it.
-    fn wishes(&self, half: usize, texels: &Texels) -> Vec<f64> {
+    /// Area times variance of each texel. The variance is that of its neighbours: a penumbra found by one texel is looked
+    /// for in those beside it.
+    fn noise_around(&self, half: usize, texels: &Texels) -> Vec<f64> {
         let variance: Vec<f64> = self.halves[half].iter().map(|t| t.steering.variance(self.steering)).collect();
-        let around = around(&variance);
-        let wanted: Vec<f64> = around.iter().zip(&texels.texels).map(|(v, t)| f64::from(t.area) * v).collect();
-        let mean = wanted.iter().sum::<f64>() / wanted.len().max(1) as f64;
-        if mean <= 0.0 {
-            return vec![1.0; wanted.len()];
-        }
-        wanted.iter().map(|v| (v / mean + LEAST_SHARE).sqrt()).collect()
+        around(&variance).iter().zip(&texels.texels).map(|(v, t)| f64::from(t.area) * v).collect()
     }
 
-    /// Takes `more(half, texel)` samples in each half of each texel, at least `steering` everywhere. Sample k of a texel is point k of a scrambled
-    /// Sobol sequence of the texel's own, so that all samples so far stay evenly spread.
+    /// Samples that make those of each group `growth(texel)` = (group, factor) times as many, spread within it as in
+    /// [`allocate`](Self::allocate): one factor for all texels of a mesh would look as long where nothing is unsure.
+    fn wanted(&self, half: usize, noise: &[f64], growth: impl Fn(usize) -> (u32, f64)) -> Vec<f64> {
+        let mut out = vec![0.0; noise.len()];
+        let mut groups = BTreeMap::<u32, (f64, Vec<usize>)>::new();
+        for texel in 0..noise.len() {
+            let (group, factor) = growth(texel);
+            if factor > 1.0 {
+                groups.entry(group).or_insert((factor, Vec::new())).1.push(texel);
+            }
+        }
+        for (factor, group) in groups.into_values() {
+            let have = |texel: usize| f64::from(self.halves[half][texel].samples);
+            let noise: Vec<f64> = group.iter().map(|&t| noise[t]).collect();
+            let wished: Vec<(f64, f64)> = wishes(&noise).zip(group.iter().map(|&t| have(t))).collect();
+            let more = |&(wish, have): &(f64, f64), scale: f64| (wish * scale).min(MAX_SAMPLES).max(have) - have;
+            let all: f64 = wished.iter().map(|w| w.1).sum();
+            let budget = ((factor - 1.0) * all).min(MAX_SAMPLES * wished.len() as f64 - all);
+            let (mut low, mut high) = (0.0, MAX_SAMPLES / LEAST_SHARE.sqrt());
+            for _ in 0..40 {
+                let middle = 0.5 * (low + high);
+                if wished.iter().map(|w| more(w, middle)).sum::<f64>() < budget { low = middle } else { high = middle }
+            }
+            group.iter().zip(&wished).for_each(|(&t, w)| out[t] = more(w, high));
+        }
+        out
+    }
+
+    /// Takes `more(half, texel)` samples in each half of each texel, at least `steering` everywhere. Sample k of a texel
+    /// is point k of a scrambled Sobol sequence of the texel's own, so that all samples so far stay evenly spread.
     pub fn extend(
         &mut self,
         more: &(impl Fn(usize, usize) -> u32 + Sync),
@@ -358,6 +375,12 @@ impl Direct {
         self.steering += steering;
         self.rays += rays;
     }
+}
+
+/// Square roots of `noise`, relative to the mean.
+fn wishes(noise: &[f64]) -> impl Iterator<Item = f64> {
+    let mean = noise.iter().sum::<f64>() / noise.len().max(1) as f64;
+    noise.iter().map(move |v| if mean > 0.0 { (v / mean + LEAST_SHARE).sqrt() } else { 1.0 })
 }
 
 /// Texels along the Morton curve that are neighbours, and those of a wider neighbourhood.

@@ -316,7 +316,7 @@ impl Solver<'_, '_> {
                 self.direct.extend(&|_, _| FIRST_SAMPLES, FIRST_SAMPLES, self.options.seed, &light);
                 left = 0;
             } else {
-                let of = |texel: usize| self.weights.instance.get(texel).map_or(1.0, |&i| growth[i as usize]);
+                let of = |texel: usize| self.weights.instance.get(texel).map_or((0, 1.0), |&i| (i, growth[i as usize]));
                 let next = self.direct.allocate(budget, texels, of, share);
                 growth.iter_mut().for_each(|g| *g /= 1.0 + (*g - 1.0) * next.grown);
                 let before = self.direct.all_samples();
