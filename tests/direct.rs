@@ -42,7 +42,7 @@ impl Stage<'_> {
         let mut direct = Direct::new(self.texels.texels.len());
         self.extend(&mut direct, seed, |_, _| 2, 2);
         for _ in 0..rounds {
-            let next = direct.allocate(direct.all_samples(), &self.texels, |_| (0, 1.0), 0.0);
+            let next = direct.allocate(direct.all_samples(), &self.texels, &[], 0.0);
             self.extend(&mut direct, seed, |half, texel| next.more[half][texel], next.steering);
         }
         direct

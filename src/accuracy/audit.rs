@@ -241,7 +241,7 @@ impl Auditor<'_> {
             }
             let uv = Vec2::new(hit.u, hit.v);
             let Met { facing, reflected: albedo, passed, .. } = world.meet(hit.triangle, uv, ray.direction);
-            let lit = Receiver::met(world, hit.triangle, uv, ray.direction, hit.t);
+            let lit = Receiver::met(world, hit.triangle, uv, facing, ray.direction, hit.t);
             if albedo != Vec3::ZERO {
                 sum += carried * reflecting.any_light(lit, stream, rays).sent;
             }

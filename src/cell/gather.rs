@@ -116,7 +116,7 @@ impl Gather<'_> {
             }
             let before = || world.hair_before(hit.triangle, uv, ray.direction);
             let texel = if receives { texels.at(hit.triangle, back, before()) } else { None };
-            let met = Receiver::met(world, hit.triangle, uv, ray.direction, hit.t);
+            let met = Receiver::met(world, hit.triangle, uv, facing, ray.direction, hit.t);
             let mut reflected = albedo;
             if let Some(texel) = texel {
                 let texel = texel as usize;

@@ -9,7 +9,6 @@ use crate::sampling::{DIMENSIONS, Stream, hash_mix, hash_seed, sobol, unit_f32};
 use crate::scene::SurfaceFlags;
 use glam::{Vec2, Vec3};
 use rayon::prelude::*;
-use std::collections::BTreeMap;
 
 /// Start points kept per texel and half.
 pub const START_SLOTS: usize = 2;
@@ -173,6 +172,15 @@ pub struct Allocation {
     pub grown: f64,
 }
 
+/// Texels whose samples are to be `factor` times as many.
+#[derive(Debug, Clone, Copy)]
+pub struct Growth<'a> {
+    /// Ids, in order.
+    pub texels: &'a [u32],
+    /// At least 1.
+    pub factor: f64,
+}
+
 /// Direct light of all texels, gathered so far.
 #[derive(Debug)]
 pub struct Direct {
@@ -251,8 +259,7 @@ impl Direct {
 
     /// How many more samples each half of each texel should take, so that `budget` in all bring the noise down
     /// most: in proportion to the square root of area times variance (Neyman 1934), counting what a texel has. Up to
-    /// `share` of the budget goes first to groups of texels whose samples are to be so many times as many: `growth` gives
-    /// the group of a texel, and the factor.
+    /// `share` of the budget goes first to what is to grow.
     ///
     /// What steers a texel are samples of the *other* texels around it, and of its own half: samples that every texel
     /// takes the same number of. The number of samples of a texel is then independent of their values, so that their
@@ -261,20 +268,14 @@ impl Direct {
     /// hence be so themselves, and be corrected, while those that miss it would not: that room lost 1 % of its light.
     /// (What all texels together decide, the scale here and when to stop, depends on any one of them by a part in
     /// their number; so does the growth of a mesh, in the number of its own.)
-    pub fn allocate(
-        &self,
-        budget: u64,
-        texels: &Texels,
-        growth: impl Fn(usize) -> (u32, f64),
-        share: f64,
-    ) -> Allocation {
+    pub fn allocate(&self, budget: u64, texels: &Texels, growth: &[Growth], share: f64) -> Allocation {
         let all = 2 * texels.texels.len().max(1) as u64;
         let steering =
             ((STEERING_SHARE * (self.samples + budget) as f64 / all as f64) as u32).saturating_sub(self.steering);
         let steering = steering.min((MAX_SAMPLES as u32).saturating_sub(self.steering));
         let steering = if steering < LEAST_MORE { 0 } else { steering };
         let noise = [0, 1].map(|half| self.noise_around(half, texels));
-        let wanted = [0, 1].map(|half| self.wanted(half, &noise[half], &growth));
+        let wanted = [0, 1].map(|half| self.wanted(half, &noise[half], growth));
         // Whole samples, so that the sum is the same in any order.
         let sum: u64 = wanted.iter().flatten().map(|w| w.ceil() as u64).sum();
         let grown = (share * budget as f64 / sum.max(1) as f64).min(1.0);
@@ -288,14 +289,12 @@ impl Direct {
                 |&(wish, have, least): &(f64, u32, u64), scale: f64| more_samples(wish, scale, have).max(least);
             let more = |scale: f64| -> u64 { wished.par_iter().map(|w| more_samples(w, scale)).sum() };
             // The scale at which the additions use up this half's share of the budget.
-            let (mut low, mut high) = (0.0, 1.0);
-            while more(high) < budget / 2 && high < 1e12 {
+            let short = |scale: f64| more(scale) < budget / 2;
+            let mut high = 1.0;
+            while short(high) && high < 1e12 {
                 high *= 4.0;
             }
-            for _ in 0..24 {
-                let middle = 0.5 * (low + high);
-                if more(middle) < budget / 2 { low = middle } else { high = middle }
-            }
+            let (low, high) = bisected(high, 24, short);
             // Texels that all wish the same get nothing by the smaller.
             let scale = if more(low) > 0 { low } else { high };
             wished.iter().map(|w| more_samples(w, scale) as u32).collect()
@@ -310,30 +309,30 @@ impl Direct {
         around(&variance).iter().zip(&texels.texels).map(|(v, t)| f64::from(t.area) * v).collect()
     }
 
-    /// Samples that make those of each group `growth(texel)` = (group, factor) times as many, spread within it as in
-    /// [`allocate`](Self::allocate): one factor for all texels of a mesh would look as long where nothing is unsure.
-    fn wanted(&self, half: usize, noise: &[f64], growth: impl Fn(usize) -> (u32, f64)) -> Vec<f64> {
-        let mut out = vec![0.0; noise.len()];
-        let mut groups = BTreeMap::<u32, (f64, Vec<usize>)>::new();
-        for texel in 0..noise.len() {
-            let (group, factor) = growth(texel);
-            if factor > 1.0 {
-                groups.entry(group).or_insert((factor, Vec::new())).1.push(texel);
-            }
-        }
-        for (factor, group) in groups.into_values() {
-            let have = |texel: usize| f64::from(self.halves[half][texel].samples);
-            let noise: Vec<f64> = group.iter().map(|&t| noise[t]).collect();
-            let wished: Vec<(f64, f64)> = wishes(&noise).zip(group.iter().map(|&t| have(t))).collect();
+    /// Samples of both halves that all of `growth` takes.
+    pub fn samples_to_grow(&self, growth: &[Growth]) -> f64 {
+        let have = |texel: &u32| self.halves.iter().map(|h| u64::from(h[*texel as usize].samples)).sum::<u64>();
+        growth.iter().map(|g| (g.factor - 1.0) * g.texels.iter().map(have).sum::<u64>() as f64).sum()
+    }
+
+    /// Samples of one half that all of `growth` takes, by texel: spread as in [`allocate`](Self::allocate), for one factor
+    /// for all texels of a mesh would look as long where nothing is unsure.
+    fn wanted(&self, half: usize, noise: &[f64], growth: &[Growth]) -> Vec<f64> {
+        let of = |growth: &Growth| -> Vec<f64> {
+            let have = |&t: &u32| f64::from(self.halves[half][t as usize].samples);
+            let noise: Vec<f64> = growth.texels.iter().map(|&t| noise[t as usize]).collect();
+            let wished: Vec<(f64, f64)> = wishes(&noise).zip(growth.texels.iter().map(have)).collect();
             let more = |&(wish, have): &(f64, f64), scale: f64| (wish * scale).min(MAX_SAMPLES).max(have) - have;
             let all: f64 = wished.iter().map(|w| w.1).sum();
-            let budget = ((factor - 1.0) * all).min(MAX_SAMPLES * wished.len() as f64 - all);
-            let (mut low, mut high) = (0.0, MAX_SAMPLES / LEAST_SHARE.sqrt());
-            for _ in 0..40 {
-                let middle = 0.5 * (low + high);
-                if wished.iter().map(|w| more(w, middle)).sum::<f64>() < budget { low = middle } else { high = middle }
-            }
-            group.iter().zip(&wished).for_each(|(&t, w)| out[t] = more(w, high));
+            let budget = ((growth.factor - 1.0) * all).min(MAX_SAMPLES * wished.len() as f64 - all);
+            let short = |scale: f64| wished.iter().map(|w| more(w, scale)).sum::<f64>() < budget;
+            let (_, scale) = bisected(MAX_SAMPLES / LEAST_SHARE.sqrt(), 40, short);
+            wished.iter().map(|w| more(w, scale)).collect()
+        };
+        let found: Vec<Vec<f64>> = growth.par_iter().map(of).collect();
+        let mut out = vec![0.0; noise.len()];
+        for (growth, found) in growth.iter().zip(found) {
+            growth.texels.iter().zip(found).for_each(|(&t, w)| out[t as usize] = w);
         }
         out
     }
@@ -375,6 +374,16 @@ impl Direct {
         self.steering += steering;
         self.rays += rays;
     }
+}
+
+/// What lies between 0 and `high`, of where `short` ends to hold: the ends of the interval after so many halvings.
+fn bisected(mut high: f64, steps: u32, short: impl Fn(f64) -> bool) -> (f64, f64) {
+    let mut low = 0.0;
+    for _ in 0..steps {
+        let middle = 0.5 * (low + high);
+        if short(middle) { low = middle } else { high = middle }
+    }
+    (low, high)
 }
 
 /// Square roots of `noise`, relative to the mean.

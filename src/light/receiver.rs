@@ -37,13 +37,12 @@ impl Receiver {
         Receiver { triangle, uv, origin, geometric_normal, shading_normal }
     }
 
-    /// The point of `triangle` at `uv` where light arrives along `arriving`, over a free way of length `way`.
-    pub fn met(world: &World, triangle: u32, uv: Vec2, arriving: Vec3, way: f32) -> Receiver {
-        let normal = world.normals[triangle as usize];
-        let side = if normal.dot(arriving) > 0.0 { -normal } else { normal };
+    /// The point of `triangle` at `uv` where light arrives along `arriving`, over a free way of length `way`. `facing` is
+    /// the normal on that side.
+    pub fn met(world: &World, triangle: u32, uv: Vec2, facing: Vec3, arriving: Vec3, way: f32) -> Receiver {
         let (position, extent) = (world.position(triangle, uv), world.extent(triangle));
-        let origin = accel::reflected_origin(position, side, extent, arriving, way);
-        Receiver { triangle, uv, origin, geometric_normal: side, shading_normal: side }
+        let origin = accel::reflected_origin(position, facing, extent, arriving, way);
+        Receiver { triangle, uv, origin, geometric_normal: facing, shading_normal: facing }
     }
 
     /// Cosines of a unit direction with the geometric and the shading normal; both 0 below the surface.

@@ -15,7 +15,7 @@ use crate::accuracy::{
 use crate::atlas::Texels;
 use crate::cell::{Gathered, SurfaceTree};
 use crate::error::BakeError;
-use crate::light::{Direct, Emitters, TexelLight, Visibility};
+use crate::light::{Direct, Emitters, Growth, TexelLight, Visibility};
 use crate::observer::{Observer, Progress};
 use crate::options::{BakeOptions, Normals};
 use crate::photon::{Bins, EnergyLedger, Flux, Shooting, StartTable};
@@ -174,8 +174,8 @@ struct Solver<'a, 'o> {
     gathered_at: Vec<(u32, u64)>,
     /// Gathered indirect light of both halves by texel.
     kept: HashMap<u32, [Gathered; 2]>,
-    /// Texels of each instance on the map.
-    texels_of: Vec<usize>,
+    /// Texels of each instance on the map, in order.
+    texels_of: Vec<Vec<u32>>,
     /// Photons per half, and nets per half so far.
     photons: u64,
     nets: u64,
@@ -198,8 +198,8 @@ pub fn solve(
     observer: &mut dyn Observer,
 ) -> Result<Solution, BakeError> {
     let instances = path.visibility.world.scene.instances.len();
-    let mut texels_of = vec![0; instances];
-    weights.instance.iter().for_each(|&i| texels_of[i as usize] += 1);
+    let mut texels_of = vec![Vec::new(); instances];
+    (0..).zip(&weights.instance).for_each(|(texel, &i)| texels_of[i as usize].push(texel));
     let mut solver = Solver {
         path,
         options,
@@ -237,15 +237,6 @@ struct Round {
     direct: Vec<(usize, f64)>,
     /// (instance, gather rays of each texel and half) from now on.
     gather: Vec<(usize, u32)>,
-}
-
-impl Round {
-    /// Factor on the direct samples of each of all instances.
-    fn growth(&self, instances: usize) -> Vec<f64> {
-        let mut growth = vec![1.0; instances];
-        self.direct.iter().for_each(|&(instance, factor)| growth[instance] = factor);
-        growth
-    }
 }
 
 impl Solver<'_, '_> {
@@ -305,9 +296,10 @@ impl Solver<'_, '_> {
     fn sample(&mut self, round: &Round) -> Result<Option<&'static str>, BakeError> {
         let texels = self.path.texels;
         let light = self.path.light(self.options.normals == Normals::Smooth);
-        let mut growth = round.growth(self.texels_of.len());
+        let mut factors = round.direct.clone();
         let mut left = round.samples;
-        let share = if left > 0 { (self.samples_to_grow(&growth) / left as f64).min(1.0) } else { 0.0 };
+        let grows = self.direct.samples_to_grow(&growing(&self.texels_of, &factors));
+        let share = (grows / left.max(1) as f64).min(1.0);
         while left > 0 {
             let started = Instant::now();
             let most = MOST_SAMPLES_AT_ONCE.max(MOST_PER_TEXEL_AT_ONCE * texels.texels.len() as u64);
@@ -316,9 +308,8 @@ impl Solver<'_, '_> {
                 self.direct.extend(&|_, _| FIRST_SAMPLES, FIRST_SAMPLES, self.options.seed, &light);
                 left = 0;
             } else {
-                let of = |texel: usize| self.weights.instance.get(texel).map_or((0, 1.0), |&i| (i, growth[i as usize]));
-                let next = self.direct.allocate(budget, texels, of, share);
-                growth.iter_mut().for_each(|g| *g /= 1.0 + (*g - 1.0) * next.grown);
+                let next = self.direct.allocate(budget, texels, &growing(&self.texels_of, &factors), share);
+                factors.iter_mut().for_each(|(_, f)| *f /= 1.0 + (*f - 1.0) * next.grown);
                 let before = self.direct.all_samples();
                 self.direct.extend(&|half, texel| next.more[half][texel], next.steering, self.options.seed, &light);
                 // Where all texels have the most that they may take, none takes any.
@@ -331,14 +322,6 @@ impl Solver<'_, '_> {
             }
         }
         Ok(None)
-    }
-
-    /// Direct samples that make those of each instance so many times as many.
-    fn samples_to_grow(&self, growth: &[f64]) -> f64 {
-        let of = |(texel, &i): (usize, &u32)| {
-            (growth[i as usize] - 1.0) * f64::from(self.direct.samples(0, texel) + self.direct.samples(1, texel))
-        };
-        self.weights.instance.iter().enumerate().map(of).sum()
     }
 
     /// Shoots `photons` per half in nets; the limit that ended them early.
@@ -420,7 +403,7 @@ impl Solver<'_, '_> {
     fn cost(&self, round: &Round) -> f64 {
         let per_sample = self.direct.rays().max(1) as f64 / self.direct.all_samples().max(1) as f64;
         let per_photon = self.ledger.rays.max(1) as f64 / self.photons.max(1) as f64;
-        let gather: f64 = round.gather.iter().map(|&(i, n)| gather_rays(f64::from(n), self.texels_of[i])).sum();
+        let gather: f64 = round.gather.iter().map(|&(i, n)| gather_rays(f64::from(n), self.texels_of[i].len())).sum();
         per_sample * round.samples as f64 + per_photon * round.photons as f64 + gather
     }
 
@@ -456,7 +439,7 @@ impl Solver<'_, '_> {
             }
             round.direct =
                 plan.direct.into_iter().map(|(i, factor)| (i, factor.min(most * MOST_MESH_GROWTH))).collect();
-            let more = self.samples_to_grow(&round.growth(self.texels_of.len()));
+            let more = self.direct.samples_to_grow(&growing(&self.texels_of, &round.direct));
             round.samples = round.samples.saturating_add(more.ceil().min(1e18) as u64);
         }
         if self.flux.is_some() {
@@ -492,6 +475,11 @@ impl Solver<'_, '_> {
         let bound = self.options.max_photons.is_some_and(|m| self.photons + (1 << LEAST_NET_BITS) > m / 2);
         if bound { "max-photons" } else { "samples" }
     }
+}
+
+/// The texels of each (instance, factor).
+fn growing<'a>(texels_of: &'a [Vec<u32>], factors: &[(usize, f64)]) -> Vec<Growth<'a>> {
+    factors.iter().map(|&(instance, factor)| Growth { texels: &texels_of[instance], factor }).collect()
 }
 
 fn progress(began: Instant, options: &BakeOptions, rays: u64, last: Option<(f64, f64)>, tracing: f64) -> Progress {
