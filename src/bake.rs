@@ -1,14 +1,14 @@
 //! The pipeline on one page.
 
 use crate::accel::{Accel, coincident_warning, part_coincident};
-use crate::accuracy::{Audit, Auditor, Effort, TexelWeights};
+use crate::accuracy::TexelWeights;
 use crate::atlas::{self, Atlas, Texels};
 use crate::cell::SurfaceTree;
 use crate::error::{BakeError, Warning};
 use crate::light::{COVER, Emitters, LightSettings, Lighting, Visibility, open_shares, shown_texels};
 use crate::lightmap::Lightmap;
 use crate::observer::{Observer, Stage};
-use crate::options::{Audits, BakeOptions, Lights, Normals, TexelValue};
+use crate::options::{BakeOptions, Lights, TexelValue};
 use crate::report::{AtlasSummary, Energy, Report, Seconds, Split, Work};
 use crate::scene::{Scene, SurfaceFlags, World};
 use crate::solve::{LightPath, Solution, solve};
@@ -95,17 +95,13 @@ fn bake_here<'s>(scene: &'s Scene, options: &BakeOptions, observer: &mut dyn Obs
         visibility: &visibility,
     };
     let solution = solve(path, weights, options, clock.began, observer)?;
-    [seconds.direct, seconds.photons, seconds.estimate] = solution.seconds;
+    [seconds.direct, seconds.photons, seconds.estimate, seconds.audit] = solution.seconds;
     seconds.rounds = solution.rounds.clone();
     clock.lap();
-
-    let audit = audit(&path, &solution, options, clock.began, observer)?;
-    seconds.audit = clock.lap();
 
     observer.stage(Stage::Finish);
     let lightmap = Lightmap::new(&world, &atlas, &texels, &shown, &solution, options);
     let mut report = report(&world, &atlas, &texels, &open, &solution, &lighting, options);
-    report.take_audit(audit);
     report.warnings.extend(coincident_warning(&world, &parted));
     (report.work.emissive_triangles, report.work.lights) = emitters.counts();
     report.work.probe_rays = probe_rays;
@@ -159,11 +155,12 @@ fn report(
         sigma_paper: 0.0,
         cell_bias: 0.0,
         cell_bias_resolution: 0.0,
+        unseen_error: 0.0,
         cell_energy_change: 100.0 * solution.energy_change,
         texel_error_percent: 0.0,
         texel_error_interval: [0.0; 2],
         luminance_error_percent: 0.0,
-        audit: None,
+        audit: solution.audit.ok(),
         texel_grid_error: None,
         shown_error_percent: None,
         area_within_target: solution.area_within_target,
@@ -197,52 +194,13 @@ fn report(
             buried_area: area(&|i| if texels.texels[i].back { 0.0 } else { 1.0 - f64::from(open[i]) }),
             triangles: world.len(),
         },
-        skips: Vec::new(),
+        skips: solution.audit.err().into_iter().map(String::from).collect(),
         warnings,
         peak_memory_bytes: None,
         seconds: Seconds::default(),
     };
     report.set_texel_error(&solution.error);
     report
-}
-
-/// Rays of an audit: this share of those of the bake, or this many where that is more.
-const AUDIT_SHARE: f64 = 0.03;
-const LEAST_AUDIT: u64 = 1 << 21;
-
-/// What path tracing says of the solution, or why it was not asked.
-fn audit(
-    path: &LightPath,
-    solution: &Solution,
-    options: &BakeOptions,
-    began: Instant,
-    observer: &mut dyn Observer,
-) -> Result<Result<Audit, &'static str>, BakeError> {
-    const LATE: &str = "audit: the time limit had passed";
-    let late = || options.time_limit.is_some_and(|t| began.elapsed().as_secs_f64() > t);
-    let rays = solution.history.last().map_or(0, |h| h.rays);
-    let effort = match options.audit {
-        Audits::Off => return Ok(Err("audit: not asked for")),
-        _ if solution.error.mean <= 0.0 => return Ok(Err("audit: the maps are black")),
-        _ if late() => return Ok(Err(LATE)),
-        Audits::Auto => Effort::Rays(LEAST_AUDIT.max((AUDIT_SHARE * rays as f64) as u64)),
-        Audits::Texels(n) => Effort::Texels(n),
-    };
-    observer.stage(Stage::Audit);
-    let auditor = Auditor {
-        seed: options.seed,
-        light: path.light(options.normals == Normals::Smooth),
-        total: &solution.total,
-        weights: &solution.weights,
-        whole: options.texel_value == TexelValue::Mean,
-        crevice: path.crevice,
-    };
-    let go_on = || !observer.cancelled() && !late();
-    match auditor.run(effort, &solution.error, options.target_percent, &go_on) {
-        Some(audit) => Ok(Ok(audit)),
-        None if observer.cancelled() => Err(BakeError::Cancelled),
-        None => Ok(Err(LATE)),
-    }
 }
 
 /// Share of all photons' flux that the backs of one node must meet to be worth a warning.

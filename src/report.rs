@@ -1,6 +1,6 @@
 //! What a bake says about itself.
 
-use crate::accuracy::{Audit, MeshError, TexelError, Verdict};
+use crate::accuracy::{Audit, MeshError, TexelError};
 use crate::error::Warning;
 use crate::options::Quantity;
 use crate::photon::EnergyLedger;
@@ -23,8 +23,7 @@ pub struct Report {
     pub target_mesh_percent: f64,
     /// Both targets are met.
     pub target_met: bool,
-    /// What ended the bake where a target is not met: `time-limit`, `max-photons`, `samples`; `audit` where
-    /// path tracing finds an error above the target.
+    /// What ended the bake where a target is not met: `time-limit`, `max-photons`, `samples`.
     pub limit: Option<&'static str>,
     /// Noise of the stored mean: sqrt( sum a (E_odd - E_even)^2 / (4 sum a) ) over the mean.
     pub sigma: f64,
@@ -34,9 +33,11 @@ pub struct Report {
     pub cell_bias: f64,
     /// Bias that could not be told from none: the root of the standard error of its square.
     pub cell_bias_resolution: f64,
+    /// What an audit found beyond both; 0 where it found no more than they tell.
+    pub unseen_error: f64,
     /// What smoothing changed in the sum of all light that is smoothed (%).
     pub cell_energy_change: f64,
-    /// sqrt(sigma^2 + cell_bias^2).
+    /// sqrt(sigma^2 + cell_bias^2 + unseen_error^2).
     pub texel_error_percent: f64,
     /// 95 % interval of the texel error.
     pub texel_error_interval: [f64; 2],
@@ -250,24 +251,12 @@ impl Report {
         self.sigma_paper = 2.0 * e.sigma;
         self.cell_bias = e.cell_bias;
         self.cell_bias_resolution = e.cell_bias_resolution;
+        self.unseen_error = e.unseen;
         self.texel_error_percent = e.percent;
         self.texel_error_interval = [e.low, e.high];
         self.luminance_error_percent = e.luminance_percent;
         self.outlier_share = e.outlier_share;
         self.split = Split { direct: e.direct, indirect: e.indirect };
         self.mean_irradiance = e.mean;
-    }
-
-    /// Takes over what an audit found, or why there was none. An error above the target means that it is not met.
-    pub fn take_audit(&mut self, audit: Result<Audit, &'static str>) {
-        match audit {
-            Ok(audit) => {
-                if audit.verdict == Verdict::AboveTarget && self.target_met {
-                    (self.target_met, self.limit) = (false, Some("audit"));
-                }
-                self.audit = Some(audit);
-            }
-            Err(why) => self.skips.push(why.into()),
-        }
     }
 }

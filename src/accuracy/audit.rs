@@ -5,7 +5,7 @@
 //! stored, X, with all that the halves cannot show. No photons, cells or caches take part; geometry, materials,
 //! emitters and the open shares of texels are the ones that the map was made with.
 
-use super::estimate::{Halves, TexelError, TexelWeights};
+use super::estimate::{Halves, TexelError, TexelWeights, Unseen};
 use super::interval::TWO_SIDED_95;
 use crate::accel::{Ray, offset_origin};
 use crate::atlas::TexelSampler;
@@ -24,11 +24,20 @@ const MAX_SURFACES: u32 = 1000;
 const PILOT_TEXELS: usize = 32;
 const PILOT_PATHS: u32 = 64;
 
-/// Paths of one estimate of a texel. Within these, so many that their noise is as large as the target.
+/// Paths of one estimate of a texel. Within these, so many that their noise is a few times the stated error: with f the
+/// fourth moment of the error over its squared square, sqrt(sqrt(f - 1)) times are best for a given number of rays,
+/// and few texels err by far more than most, so that f is large.
 const PATHS: std::ops::RangeInclusive<f64> = 32.0..=16384.0;
+const NOISE: f64 = 2.0;
+
+/// Errors are taken for at least this share of the target here.
+const LEAST_STATED: f64 = 0.1;
 
 /// Texels, where a number of rays decides.
-const TEXELS: std::ops::RangeInclusive<usize> = 64..=4096;
+const TEXELS: std::ops::RangeInclusive<usize> = 64..=65536;
+
+/// Where an error above the stated interval is found but not surely, so many times the rays are spent at most.
+const MOST_EXTENSION: usize = 4;
 
 /// Texels between two questions whether to go on.
 const CHUNK: usize = 64;
@@ -36,13 +45,11 @@ const CHUNK: usize = 64;
 /// Sets the random numbers of audits apart from all others.
 const AUDIT: u64 = 0x0061_7564_6974_0000;
 
-/// An error is above the target only where chance alone would say so once in 700 bakes: a pipeline stops there.
-const SURE: f64 = 3.0;
-
 /// How much is audited.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Effort {
-    /// As many texels as about so many rays allow.
+    /// As many texels as about so many rays allow, and up to four times as many to decide whether an error is above
+    /// the stated interval.
     Rays(u64),
     /// So many texels.
     Texels(usize),
@@ -56,10 +63,8 @@ pub enum Verdict {
     Agrees,
     /// An error at the target could not be told from none: more texels would tell.
     NotResolved,
-    /// The error is above the stated interval.
-    Understated,
-    /// ... and above the target, beyond three standard errors.
-    AboveTarget,
+    /// The error is above the stated interval, which is raised to it.
+    Raised,
 }
 
 /// What an audit found. Percent of the map's mean irradiance.
@@ -83,6 +88,16 @@ pub struct Audit {
     pub paths_per_texel: u32,
     /// Rays of all paths.
     pub rays: u64,
+}
+
+impl Audit {
+    /// What it found beyond `stated`, where that is sure; `photons` had been shot.
+    pub fn unseen(&self, stated: &TexelError, photons: u64) -> Option<Unseen> {
+        let seen = stated.percent.powi(2) - stated.unseen.powi(2);
+        let square = self.error_percent.powi(2) - seen;
+        let deviation = self.resolution_percent.powi(2) / TWO_SIDED_95;
+        (self.verdict == Verdict::Raised).then_some(Unseen { square, deviation, photons })
+    }
 }
 
 /// What is audited, and what with.
@@ -131,13 +146,13 @@ impl Auditor<'_> {
             (0..n).map(|j| pick(j).min(cumulative.len() - 1)).collect()
         };
         let mut random = Stream::new(hash_mix(self.seed, AUDIT));
-        let squared_target = (target / 100.0 * mean).powi(2);
 
         let pilot = self.estimates(&draw(PILOT_TEXELS, f64::from(random.unit())), PILOT_PATHS, 1, go_on)?;
         let scatter = pilot.iter().map(|p| p.scatter).sum::<f64>() / pilot.len() as f64;
         let per_path =
             pilot.iter().map(|p| p.rays).sum::<u64>() as f64 / (2 * PILOT_TEXELS as u32 * PILOT_PATHS) as f64;
-        let paths = (scatter / squared_target).clamp(*PATHS.start(), *PATHS.end());
+        let noise = NOISE * stated.percent.max(LEAST_STATED * target) / 100.0 * mean;
+        let paths = (scatter / (noise * noise)).clamp(*PATHS.start(), *PATHS.end());
         let (texels, paths) = match effort {
             Effort::Texels(n) => (n, paths),
             Effort::Rays(rays) => {
@@ -146,23 +161,31 @@ impl Auditor<'_> {
                 (n, paths.min(affordable / n as f64).max(*PATHS.start()))
             }
         };
-        let drawn = draw(texels, f64::from(random.unit()));
-        let found = self.estimates(&drawn, paths as u32, 2, go_on)?;
+        let most = if let Effort::Rays(_) = effort { MOST_EXTENSION * texels } else { texels };
 
         let (mut square, mut difference) = (Moments::default(), Moments::default());
-        for (&i, f) in drawn.iter().zip(&found) {
-            let [a, b] = f.values.map(|v| (self.total.mean(i) - v).as_dvec3() / mean);
-            square.add(a.dot(b) / 3.0);
-            difference.add((a + b).element_sum() / 6.0);
+        let (mut rays, mut audited, mut pass) = (pilot.iter().map(|f| f.rays).sum::<u64>(), 0, 2);
+        loop {
+            // As many as there are already: all of them together are spread about as evenly.
+            let drawn = draw(audited.max(texels), f64::from(random.unit()));
+            let found = self.estimates(&drawn, paths as u32, pass, go_on)?;
+            for (&i, f) in drawn.iter().zip(&found) {
+                let [a, b] = f.values.map(|v| (self.total.mean(i) - v).as_dvec3() / mean);
+                square.add(a.dot(b) / 3.0);
+                difference.add((a + b).element_sum() / 6.0);
+            }
+            rays += found.iter().map(|f| f.rays).sum::<u64>();
+            (audited, pass) = (audited + drawn.len(), pass + 1);
+            let error = |deviations: f64| square.percent(deviations);
+            let undecided = error(0.0) > stated.high && error(-TWO_SIDED_95) <= stated.high;
+            if !undecided || 2 * audited > most {
+                break;
+            }
         }
-        let percent = |square: f64| 100.0 * square.max(0.0).sqrt();
-        let error = |deviations: f64| percent(square.mean() + deviations * square.deviation());
-        let [low, high] = [error(-TWO_SIDED_95), error(TWO_SIDED_95)];
-        let resolution = percent(TWO_SIDED_95 * square.deviation());
-        let verdict = if low > stated.high && error(-SURE) > target {
-            Verdict::AboveTarget
-        } else if low > stated.high {
-            Verdict::Understated
+        let [low, high] = [-TWO_SIDED_95, TWO_SIDED_95].map(|deviations| square.percent(deviations));
+        let resolution = 100.0 * (TWO_SIDED_95 * square.deviation()).sqrt();
+        let verdict = if low > stated.high {
+            Verdict::Raised
         } else if resolution > target.max(stated.high) {
             Verdict::NotResolved
         } else {
@@ -170,14 +193,14 @@ impl Auditor<'_> {
         };
         Some(Audit {
             verdict,
-            error_percent: error(0.0),
+            error_percent: square.percent(0.0),
             error_interval: [low, high],
             resolution_percent: resolution,
             mean_difference_percent: 100.0 * difference.mean(),
             mean_difference_deviation: 100.0 * difference.deviation(),
-            texels,
+            texels: audited,
             paths_per_texel: 2 * paths as u32,
-            rays: pilot.iter().chain(&found).map(|f| f.rays).sum(),
+            rays,
         })
     }
 
@@ -282,6 +305,11 @@ impl Moments {
 
     fn mean(&self) -> f64 {
         self.sum / self.n.max(1.0)
+    }
+
+    /// The root (%) of the mean square, and so many standard errors of that.
+    fn percent(&self, deviations: f64) -> f64 {
+        100.0 * (self.mean() + deviations * self.deviation()).max(0.0).sqrt()
     }
 
     /// Standard error of the mean.

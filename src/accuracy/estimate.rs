@@ -1,6 +1,7 @@
 //! Error of the mean of two halves: their noise, and the bias of cells.
 
 use super::interval::{TWO_SIDED_95, chi_square_quantile};
+use super::plan::SMOOTH_FALL;
 use crate::atlas::Texels;
 use crate::cell::{Bias, Node, SurfaceTree};
 use crate::scene::World;
@@ -86,7 +87,9 @@ pub struct TexelError {
     pub cell_bias: f64,
     /// Its standard error, as the root of that of its square.
     pub cell_bias_resolution: f64,
-    /// Both together.
+    /// What an audit found beyond both.
+    pub unseen: f64,
+    /// All together.
     pub percent: f64,
     /// Lower end of its 95 % interval.
     pub low: f64,
@@ -96,6 +99,57 @@ pub struct TexelError {
     pub luminance_percent: f64,
     /// Share of the squared noise in the worst thousandth of the texels.
     pub outlier_share: f64,
+}
+
+/// Squared error that halves do not show: what is finer than the photons can tell is smoothed away in both, and cells
+/// too fine for their noise hide their bias. An audit finds it.
+#[derive(Debug, Clone, Copy, Default, PartialEq)]
+pub struct Unseen {
+    /// Its square, in percent squared.
+    pub square: f64,
+    /// Standard error of that.
+    pub deviation: f64,
+    /// Photons at the time.
+    pub photons: u64,
+}
+
+impl Unseen {
+    /// What of it is left with `photons`: cells shrink, as when they show their bias.
+    fn left(&self, photons: u64) -> f64 {
+        libm::pow(self.photons.max(1) as f64 / photons.max(1) as f64, SMOOTH_FALL).min(1.0)
+    }
+}
+
+impl TexelError {
+    /// What halves show, and what of `unseen` is left where there are now `photons`.
+    pub fn with(&self, unseen: &Unseen, photons: u64) -> TexelError {
+        let left = unseen.left(photons);
+        let (square, spread) = (unseen.square * left, TWO_SIDED_95 * unseen.deviation * left);
+        let seen = self.percent.powi(2);
+        let all = seen + square;
+        TexelError {
+            unseen: square.sqrt(),
+            percent: all.sqrt(),
+            low: (all - (seen - self.low.powi(2)).hypot(spread)).max(0.0).sqrt(),
+            high: (all + (self.high.powi(2) - seen).hypot(spread)).sqrt(),
+            luminance_percent: self.luminance_percent.hypot(square.sqrt()),
+            ..*self
+        }
+    }
+
+    /// Raised to what an audit found at the time: the audit's own interval.
+    pub fn raised(&self, unseen: &Unseen) -> TexelError {
+        let seen = self.percent.powi(2) - self.unseen.powi(2);
+        let (all, spread) = (seen + unseen.square, TWO_SIDED_95 * unseen.deviation);
+        TexelError {
+            unseen: unseen.square.sqrt(),
+            percent: all.sqrt(),
+            low: (all - spread).max(0.0).sqrt(),
+            high: (all + spread).sqrt(),
+            luminance_percent: (self.luminance_percent.powi(2) - self.unseen.powi(2) + unseen.square).sqrt(),
+            ..*self
+        }
+    }
 }
 
 /// Texels per block of the sums.
@@ -203,6 +257,7 @@ pub fn texel_error(known: &Known) -> TexelError {
         indirect: percent(sum(|s| s.indirect)),
         cell_bias: bias,
         cell_bias_resolution: percent(known.bias.variance.sqrt()),
+        unseen: 0.0,
         percent: percent(middle),
         low: percent(middle - (square - noise_low).hypot(spread)),
         high: percent(middle + (noise_high - square).hypot(spread)),

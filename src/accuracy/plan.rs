@@ -2,7 +2,7 @@
 
 /// The squared error of light smoothed over cells falls as photons^-this: cells shrink as photons get more, so that
 /// noise and bias fall together (-2/3 for smooth light, -1/2 at kinks; measured -0.5 to -0.7).
-const SMOOTH_FALL: f64 = 0.6;
+pub(super) const SMOOTH_FALL: f64 = 0.6;
 
 /// Aimed for below the target: estimates scatter.
 const MARGIN: f64 = 0.96;

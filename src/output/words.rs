@@ -48,8 +48,7 @@ pub fn audit(a: &Audit) -> String {
             return format!("path tracing of {texels} texels shows errors from {coarse} % on: --audit N takes more");
         }
         Verdict::Agrees => "path tracing agrees",
-        Verdict::Understated => "path tracing finds more than stated",
-        Verdict::AboveTarget => "path tracing finds more than the target",
+        Verdict::Raised => "path tracing finds more than the halves, and is believed",
     };
     let [low, high] = a.error_interval.map(figures);
     format!("{verdict}: {} % ({low} to {high}) in {texels} texels", figures(a.error_percent))

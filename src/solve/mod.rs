@@ -3,20 +3,23 @@
 //!
 //! In: texels, emitters, what rays meet. Out: [`Solution`], the irradiance of every texel in two halves with
 //! its error. After each round the error of the direct and of the indirect part is known from the halves, and
-//! the next round is sized so that the target is met at the least cost. All decisions are made between
+//! the next round is sized so that the target is met at the least cost. Where it is met, an audit is asked: what that
+//! finds beyond the halves is part of the error from then on. All decisions are made between
 //! rounds from sums in fixed order; only a time limit can make two runs differ.
 
+mod audit;
 mod estimate;
 mod light;
 
 use crate::accuracy::{
-    Halves, MeshError, Missed, Spent, TexelError, TexelWeights, cheapest_growth, gather_rays, plan_meshes,
+    Audit, Halves, MeshError, Missed, Spent, TexelError, TexelWeights, Unseen, cheapest_growth, gather_rays,
+    plan_meshes,
 };
 use crate::atlas::Texels;
 use crate::cell::{Gathered, SurfaceTree};
 use crate::error::BakeError;
 use crate::light::{Direct, Emitters, Growth, TexelLight, Visibility};
-use crate::observer::{Observer, Progress};
+use crate::observer::{Observer, Progress, Stage};
 use crate::options::{BakeOptions, Normals};
 use crate::photon::{Bins, EnergyLedger, Flux, Shooting, StartTable};
 use crate::report::{HistoryEntry, RoundSeconds};
@@ -130,6 +133,8 @@ pub struct Solution {
     missed: Vec<Missed>,
     /// Which limit ended it before the targets were met.
     pub limit: Option<&'static str>,
+    /// What path tracing says of it, or why it was not asked.
+    pub audit: Result<Audit, &'static str>,
     /// Cell of the odd half that each texel of the map is in, or [`NO_CELL`](crate::cell::NO_CELL): buried, or
     /// gathered. Empty where nothing is smoothed.
     pub cell_of: Vec<u32>,
@@ -151,8 +156,8 @@ pub struct Solution {
     pub back_flux: Vec<i64>,
     /// Flux of one integer step [lux x frame units squared].
     pub unit: f64,
-    /// Seconds of direct light, photons, estimates.
-    pub seconds: [f64; 3],
+    /// Seconds of direct light, photons, estimates, audits.
+    pub seconds: [f64; 4],
 }
 
 /// Work under way.
@@ -180,7 +185,9 @@ struct Solver<'a, 'o> {
     photons: u64,
     nets: u64,
     ledger: EnergyLedger,
-    seconds: [f64; 3],
+    /// What an audit found beyond the halves.
+    unseen: Option<Unseen>,
+    seconds: [f64; 4],
     history: Vec<HistoryEntry>,
     rounds: Vec<RoundSeconds>,
     last: Option<(f64, f64)>,
@@ -218,7 +225,8 @@ pub fn solve(
         photons: 0,
         nets: 0,
         ledger: EnergyLedger::default(),
-        seconds: [0.0; 3],
+        unseen: None,
+        seconds: [0.0; 4],
         history: Vec::new(),
         rounds: Vec::new(),
         last: None,
@@ -244,6 +252,28 @@ impl Solver<'_, '_> {
         let bits = (self.path.texels.texels.len().max(1).ilog2()).clamp(*FIRST_NET_BITS.start(), *FIRST_NET_BITS.end());
         let mut round = Round { samples: 1, photons: 1 << bits, ..Round::default() };
         loop {
+            let mut solution = self.converge(round)?;
+            solution.audit = self.audit(&solution)?;
+            // Where an audit finds that the target is not met after all, there is more to do.
+            let next = if self.believes(&mut solution) { self.next(&solution, None) } else { None };
+            match next.filter(|_| solution.limit.is_none()) {
+                Some(next) => {
+                    self.observer.stage(Stage::Light);
+                    round = next;
+                }
+                None => {
+                    solution.history = std::mem::take(&mut self.history);
+                    solution.rounds = std::mem::take(&mut self.rounds);
+                    solution.seconds = self.seconds;
+                    return Ok(solution);
+                }
+            }
+        }
+    }
+
+    /// Rounds, from `round` on, until the targets are met by what the halves tell or a limit binds.
+    fn converge(&mut self, mut round: Round) -> Result<Solution, BakeError> {
+        loop {
             let before = self.work();
             let mut stopped = self.trace(&round)?;
             let (started, tracing) = (Instant::now(), self.seconds[1]);
@@ -254,7 +284,6 @@ impl Solver<'_, '_> {
                 stopped = stopped.or(Some("samples"));
             }
             let wish = self.wish(&solution, f64::INFINITY);
-            let next = self.wish(&solution, MOST_REDUCTION);
             let rays = self.rays();
             let forecast_rays = rays as f64 + wish.as_ref().map_or(0.0, |r| self.cost(r));
             self.history.push(HistoryEntry {
@@ -269,18 +298,20 @@ impl Solver<'_, '_> {
             self.last = Some((solution.error.high, forecast_rays));
             let now = self.report_progress()?;
             self.rounds.push(RoundSeconds { at: now.elapsed, forecast: now.elapsed + now.remaining.unwrap_or(0.0) });
-            let done = wish.is_none();
-            match next.and_then(|r| self.bounded(r)).filter(|_| stopped.is_none()) {
+            match self.next(&solution, stopped) {
                 Some(next) => round = next,
                 None => {
-                    solution.limit = if done { None } else { stopped.or(Some(self.exhausted())) };
-                    solution.history = std::mem::take(&mut self.history);
-                    solution.rounds = std::mem::take(&mut self.rounds);
-                    solution.seconds = self.seconds;
+                    solution.limit = wish.and(stopped.or(Some(self.exhausted())));
                     return Ok(solution);
                 }
             }
         }
+    }
+
+    /// The next round; `None` where the targets are met or a limit binds.
+    fn next(&mut self, solution: &Solution, stopped: Option<&'static str>) -> Option<Round> {
+        let wish = self.wish(solution, MOST_REDUCTION)?;
+        self.bounded(wish).filter(|_| stopped.is_none())
     }
 
     /// Traces one round; the name of the limit that ended it early.
