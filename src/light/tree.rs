@@ -28,8 +28,9 @@ pub struct LightBounds {
 struct Node {
     bounds: LightBounds,
     centre: Vec3,
-    /// Radius of the sphere around the box, and the square of a hair more.
+    /// Radius of the sphere around the box, a hair more, and the square of that.
     radius: f32,
+    bound: f32,
     bound2: f32,
     sin_spread: f32,
     /// Left child (the right one follows at `right`), or the light where `right` is 0.
@@ -41,17 +42,18 @@ impl Node {
     fn new(bounds: LightBounds, light: u32) -> Node {
         let radius = (bounds.hi - bounds.lo).length() * 0.5;
         // A hair larger than the box, so that nothing at its border is judged unreachable.
-        let bound2 = (radius * 1.001 + 1e-6).powi(2);
+        let bound = radius * 1.001 + 1e-6;
         let sin_spread = (1.0 - bounds.cos_spread * bounds.cos_spread).max(0.0).sqrt();
-        Node { bounds, centre: (bounds.lo + bounds.hi) * 0.5, radius, bound2, sin_spread, left: light, right: 0 }
+        let centre = (bounds.lo + bounds.hi) * 0.5;
+        Node { bounds, centre, radius, bound, bound2: bound * bound, sin_spread, left: light, right: 0 }
     }
 }
 
 /// A group's box says little where its sphere is nearer than its radius: its squared distance in squared radii.
 const NEAR: f32 = 4.0;
 
-/// Generations that are looked at inside such a group.
-const LOOK_INSIDE: u32 = 5;
+/// Groups that draws are taken from at most.
+const MOST_GROUPS: usize = 256;
 
 /// The tree. An empty one draws nothing.
 #[derive(Debug, Default)]
@@ -108,49 +110,67 @@ impl LightTree {
     /// spread (one in each of `count` strata, all moved by `u` in [0, 1)). Calls `visit` once for each light drawn,
     /// with one over the number of times that it is drawn on average, times how often it was.
     pub fn draw(&self, p: Vec3, n: Vec3, count: u32, u: f32, mut visit: impl FnMut(u32, f64)) {
-        if !self.nodes.is_empty() && importance(&self.nodes[0], p, n) > 0.0 {
-            // Draw k stands at k of the interval [0, count) of the root, moved by u.
-            self.descend(0, (0.0, f64::from(count)), f64::from(u), (p, n), LOOK_INSIDE, &mut visit);
+        if self.nodes.is_empty() {
+            return;
+        }
+        let mut groups = [(0, 0.0); MOST_GROUPS];
+        let groups = self.groups((p, n), &mut groups);
+        let total: f64 = groups.iter().map(|g| f64::from(g.1)).sum();
+        // Draw k stands at k of the interval [0, count) of all groups, moved by u.
+        let mut from = 0.0;
+        for &(node, importance) in groups.iter() {
+            let width = f64::from(count) * (f64::from(importance) / total);
+            self.descend(node, (from, width), f64::from(u), (p, n), &mut visit);
+            from += width;
         }
     }
 
-    /// About the irradiance that a node sends. In a group near or around the point may be a lamp at arm's length, or
-    /// none: its children are weighed instead, `levels` deep.
-    fn weigh(&self, node: u32, at: (Vec3, Vec3), levels: u32) -> f32 {
-        let n = &self.nodes[node as usize];
-        if n.right == 0 || levels == 0 || n.centre.distance_squared(at.0) > NEAR * n.bound2 {
-            return importance(n, at.0, at.1);
+    /// Groups that hold all lights that can reach a point, with about the irradiance that each sends, > 0. In a group near
+    /// or around the point may be a lamp at arm's length, or none: its children are looked at in its place.
+    fn groups<'a>(&self, at: (Vec3, Vec3), groups: &'a mut [(u32, f32); MOST_GROUPS]) -> &'a [(u32, f32)] {
+        // Those at the end of the array are still to be looked at.
+        let (mut found, mut open) = (0, MOST_GROUPS - 1);
+        groups[open].0 = 0;
+        while open < MOST_GROUPS {
+            let (node, _) = groups[open];
+            open += 1;
+            let n = &self.nodes[node as usize];
+            let importance = importance(n, at.0, at.1);
+            let near = n.centre.distance_squared(at.0) <= NEAR * n.bound2;
+            if importance > 0.0 && near && n.right != 0 && open >= found + 2 {
+                open -= 2;
+                (groups[open].0, groups[open + 1].0) = (n.left, n.right);
+            } else if importance > 0.0 {
+                groups[found] = (node, importance);
+                found += 1;
+            }
         }
-        self.weigh(n.left, at, levels - 1) + self.weigh(n.right, at, levels - 1)
+        &groups[..found]
     }
 
-    /// Draws in the part [`from`, `from + width`) of a node, `levels` of which are looked at: its probability is
-    /// `width` over the number of draws.
+    /// Draws in the part [`from`, `from + width`) of a node: its probability is `width` over the number of draws.
     fn descend(
         &self,
         node: u32,
         (from, width): (f64, f64),
         u: f64,
         at: (Vec3, Vec3),
-        levels: u32,
         visit: &mut impl FnMut(u32, f64),
     ) {
-        let drawn = (from + width - u).ceil() - (from - u).ceil();
-        if drawn <= 0.0 {
+        let drawn = above(from + width - u) - above(from - u);
+        if drawn <= 0 {
             return;
         }
         let Node { left, right, .. } = self.nodes[node as usize];
         if right == 0 {
-            visit(left, drawn / width);
+            visit(left, f64::from(drawn) / width);
             return;
         }
-        let [a, b] = [left, right].map(|c| f64::from(self.weigh(c, at, levels - 1)));
+        let [a, b] = [left, right].map(|c| f64::from(importance(&self.nodes[c as usize], at.0, at.1)));
         if a + b > 0.0 {
             let share = width * (a / (a + b));
-            // Down to the same generation, and only then further: what was weighed is not weighed for others again.
-            let next = if levels > 1 { levels - 1 } else { LOOK_INSIDE };
-            self.descend(left, (from, share), u, at, next, visit);
-            self.descend(right, (from + share, width - share), u, at, next, visit);
+            self.descend(left, (from, share), u, at, visit);
+            self.descend(right, (from + share, width - share), u, at, visit);
         }
     }
 }
@@ -194,6 +214,7 @@ fn merge_cones(a: &LightBounds, b: &LightBounds) -> (Vec3, f32) {
 }
 
 /// About the irradiance that a group sends to `p`; 0 only where it can send none.
+#[inline]
 fn importance(node: &Node, p: Vec3, n: Vec3) -> f32 {
     let l = &node.bounds;
     let to = node.centre - p;
@@ -202,10 +223,16 @@ fn importance(node: &Node, p: Vec3, n: Vec3) -> f32 {
     if d2 <= node.bound2 {
         return l.power / distance2;
     }
-    let w = to / d2.sqrt();
+    // Half of all are wholly below the horizon, which needs no angles.
+    let height = n.dot(to);
+    if height < 0.0 && height * height >= node.bound2 {
+        return 0.0;
+    }
+    let d = d2.sqrt();
+    let w = to / d;
     let sin2_b = node.bound2 / d2;
-    let (sin_b, cos_b) = (sin2_b.sqrt(), (1.0 - sin2_b).sqrt());
-    let cos_i = minus_angle(n.dot(w), sin_b, cos_b);
+    let (sin_b, cos_b) = (node.bound / d, (1.0 - sin2_b).sqrt());
+    let cos_i = minus_angle(height / d, sin_b, cos_b);
     if cos_i <= 0.0 {
         return 0.0;
     }
@@ -218,6 +245,12 @@ fn importance(node: &Node, p: Vec3, n: Vec3) -> f32 {
         minus_angle(x, sin_b, cos_b)
     };
     if cos_e <= 0.0 { 0.0 } else { l.power * cos_e * cos_i / distance2 }
+}
+
+/// The least whole number that is not below `x`.
+fn above(x: f64) -> i32 {
+    let whole = x as i32;
+    whole + i32::from(x > f64::from(whole))
 }
 
 /// cos(max(0, x - b)) from cos(x) and sin(b), cos(b).
@@ -264,20 +297,29 @@ mod tests {
         }
     }
 
-    /// A small lamp at arm's length in the midst of many far ones: it sends most of the light and is drawn as often.
+    /// A small lamp close by in the midst of many far ones: it sends most of the light and is drawn as often, however deep
+    /// in the tree it is.
     #[test]
     fn a_near_lamp_among_far_ones_is_drawn_by_what_it_sends() {
+        near_lamp_is_drawn(8, 0.1, 2.0);
+        near_lamp_is_drawn(64, 1e-3, 5e-2);
+    }
+
+    /// `side` squared lamps of power 10 overhead, and one of `power` at `height`.
+    fn near_lamp_is_drawn(side: i32, height: f32, power: f32) {
         let lamp = |at: Vec3, power: f32| LightBounds {
-            lo: at - Vec3::splat(0.01),
-            hi: at + Vec3::splat(0.01),
+            lo: at - Vec3::splat(0.1 * height),
+            hi: at + Vec3::splat(0.1 * height),
             power,
             axis: Vec3::NEG_Y,
             cos_spread: 1.0,
             two_sided: false,
             all_around: true,
         };
-        let far = (0..64).map(|i| lamp(Vec3::new((i % 8) as f32 - 3.5, 3.0, (i / 8) as f32 - 3.5) * 2.0, 10.0));
-        let lights: Vec<LightBounds> = far.chain([lamp(Vec3::new(0.0, 0.1, 0.0), 2.0)]).collect();
+        let middle = 0.5 * (side - 1) as f32;
+        let at = |i: i32| Vec3::new((i % side) as f32 - middle, 3.0, (i / side) as f32 - middle) * 2.0;
+        let far = (0..side * side).map(|i| lamp(at(i), 10.0));
+        let lights: Vec<LightBounds> = far.chain([lamp(Vec3::new(0.0, height, 0.0), power)]).collect();
         let tree = LightTree::new(&lights);
         let p = Vec3::ZERO;
         let sent = |l: &LightBounds| {
@@ -288,9 +330,10 @@ mod tests {
         let mut chance = 0.0;
         let n = 4096;
         for k in 0..n {
-            tree.draw(p, Vec3::Y, 1, (k as f32 + 0.5) / n as f32, |i, _| chance += f64::from(u8::from(i == 64)));
+            let near = |i: u32, _| chance += f64::from(u8::from(i as usize == lights.len() - 1));
+            tree.draw(p, Vec3::Y, 1, (k as f32 + 0.5) / n as f32, near);
         }
-        let (chance, share) = (chance / f64::from(n), sent(&lights[64]) / total);
+        let (chance, share) = (chance / f64::from(n), sent(&lights[lights.len() - 1]) / total);
         assert!(share > 0.8 && chance > 0.5 * share, "drawn {chance}, sends {share}");
     }
 }
