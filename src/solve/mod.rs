@@ -190,7 +190,18 @@ struct Solver<'a, 'o> {
     seconds: [f64; 4],
     history: Vec<HistoryEntry>,
     rounds: Vec<RoundSeconds>,
-    last: Option<(f64, f64)>,
+    last: Option<Outlook>,
+}
+
+/// What was known after a round.
+#[derive(Debug, Clone, Copy)]
+struct Outlook {
+    /// Upper end of the interval of the error.
+    percent: f64,
+    /// Rays from the start until the targets are met.
+    rays: f64,
+    /// Seconds that estimates will take until then.
+    estimates: f64,
 }
 
 /// Solves until the targets of `options` are met or a limit binds. `began` is when the bake began.
@@ -295,7 +306,11 @@ impl Solver<'_, '_> {
                 high: solution.error.high,
                 forecast_rays,
             });
-            self.last = Some((solution.error.high, forecast_rays));
+            // Rounds to come, each of which ends with an estimate.
+            let reduction = (solution.error.high / self.options.target_percent).powi(2);
+            let rounds = if wish.is_some() { (reduction.ln() / MOST_REDUCTION.ln()).ceil().max(1.0) } else { 0.0 };
+            let estimates = rounds * self.seconds[2] / self.history.len() as f64;
+            self.last = Some(Outlook { percent: solution.error.high, rays: forecast_rays, estimates });
             let now = self.report_progress()?;
             self.rounds.push(RoundSeconds { at: now.elapsed, forecast: now.elapsed + now.remaining.unwrap_or(0.0) });
             match self.next(&solution, stopped) {
@@ -513,11 +528,11 @@ fn growing<'a>(texels_of: &'a [Vec<u32>], factors: &[(usize, f64)]) -> Vec<Growt
     factors.iter().map(|&(instance, factor)| Growth { texels: &texels_of[instance], factor }).collect()
 }
 
-fn progress(began: Instant, options: &BakeOptions, rays: u64, last: Option<(f64, f64)>, tracing: f64) -> Progress {
+fn progress(began: Instant, options: &BakeOptions, rays: u64, last: Option<Outlook>, tracing: f64) -> Progress {
     let rate = if tracing > 0.0 { rays as f64 / tracing } else { 0.0 };
-    let remaining = last.filter(|_| rate > 0.0).map(|(_, forecast)| (forecast - rays as f64).max(0.0) / rate);
+    let remaining = last.filter(|_| rate > 0.0).map(|l| (l.rays - rays as f64).max(0.0) / rate + l.estimates);
     Progress {
-        percent: last.map_or(f64::INFINITY, |l| l.0),
+        percent: last.map_or(f64::INFINITY, |l| l.percent),
         target: options.target_percent,
         rays,
         rays_per_second: rate,
