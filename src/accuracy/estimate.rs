@@ -124,29 +124,28 @@ impl TexelError {
     /// What halves show, and what of `unseen` is left where there are now `photons`.
     pub fn with(&self, unseen: &Unseen, photons: u64) -> TexelError {
         let left = unseen.left(photons);
-        let (square, spread) = (unseen.square * left, TWO_SIDED_95 * unseen.deviation * left);
+        let spread = TWO_SIDED_95 * unseen.deviation * left;
         let seen = self.percent.powi(2);
-        let all = seen + square;
-        TexelError {
-            unseen: square.sqrt(),
-            percent: all.sqrt(),
-            low: (all - (seen - self.low.powi(2)).hypot(spread)).max(0.0).sqrt(),
-            high: (all + (self.high.powi(2) - seen).hypot(spread)).sqrt(),
-            luminance_percent: self.luminance_percent.hypot(square.sqrt()),
-            ..*self
-        }
+        let (below, above) = (seen - self.low.powi(2), self.high.powi(2) - seen);
+        self.stated(unseen.square * left, below.hypot(spread), above.hypot(spread))
     }
 
     /// Raised to what an audit found at the time: the audit's own interval.
     pub fn raised(&self, unseen: &Unseen) -> TexelError {
-        let seen = self.percent.powi(2) - self.unseen.powi(2);
-        let (all, spread) = (seen + unseen.square, TWO_SIDED_95 * unseen.deviation);
+        let spread = TWO_SIDED_95 * unseen.deviation;
+        self.stated(unseen.square, spread, spread)
+    }
+
+    /// The same with another unseen square, where the interval of the whole square reaches so far `below` and `above`.
+    fn stated(&self, unseen: f64, below: f64, above: f64) -> TexelError {
+        let beyond = unseen - self.unseen.powi(2);
+        let square = self.percent.powi(2) + beyond;
         TexelError {
-            unseen: unseen.square.sqrt(),
-            percent: all.sqrt(),
-            low: (all - spread).max(0.0).sqrt(),
-            high: (all + spread).sqrt(),
-            luminance_percent: (self.luminance_percent.powi(2) - self.unseen.powi(2) + unseen.square).sqrt(),
+            unseen: unseen.sqrt(),
+            percent: square.sqrt(),
+            low: (square - below).max(0.0).sqrt(),
+            high: (square + above).sqrt(),
+            luminance_percent: (self.luminance_percent.powi(2) + beyond).sqrt(),
             ..*self
         }
     }

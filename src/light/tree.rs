@@ -53,7 +53,7 @@ impl Node {
 const NEAR: f32 = 4.0;
 
 /// Groups that draws are taken from at most.
-const MOST_GROUPS: usize = 256;
+const MOST_GROUPS: usize = 64;
 
 /// The tree. An empty one draws nothing.
 #[derive(Debug, Default)]

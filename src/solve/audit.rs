@@ -45,23 +45,14 @@ impl Solver<'_, '_> {
         }
     }
 
-    /// Raises the stated error of `solution`, and of all that follow, to what its audit found where that is surely more;
-    /// whether it did.
-    pub(super) fn believes(&mut self, solution: &mut Solution) -> bool {
-        let photons = self.photons * 2;
-        let Some(unseen) = solution.audit.as_ref().ok().and_then(|a| a.unseen(&solution.error, photons)) else {
-            return false;
-        };
-        let weight: f64 = solution.weights.weight.iter().sum();
-        let mean = solution.error.mean;
-        let square = |percent: f64| (percent / 100.0 * mean).powi(2) * weight;
-        let before = square(solution.error.unseen);
+    /// Raises the stated error of `solution`, and of all that follow, to what its audit found where that is surely more.
+    pub(super) fn believe_audit(&mut self, solution: &mut Solution) {
+        let audit = solution.audit.as_ref().ok();
+        let Some(unseen) = audit.and_then(|a| a.unseen(&solution.error, self.photons * 2)) else { return };
         solution.error = solution.error.raised(&unseen);
-        solution.squares.indirect += square(solution.error.unseen) - before;
         if let Some(last) = self.history.last_mut() {
             (last.percent, last.low, last.high) = (solution.error.percent, solution.error.low, solution.error.high);
         }
         self.unseen = Some(unseen);
-        true
     }
 }

@@ -70,9 +70,7 @@ impl Solver<'_, '_> {
         let (meshes, area_within_target) = mesh_errors(visibility.world, &total, &weights, &biases, error.mean, target);
         let mesh_percent = percentile_95(&meshes);
         let split = self.squares(&apart, soft.as_ref(), &indirect, &weights, &biases);
-        let weight: f64 = weights.weight.iter().sum();
-        let unseen = Squares { indirect: (error.unseen / 100.0 * error.mean).powi(2) * weight, ..Squares::default() };
-        let squares = split.iter().fold(unseen, |s, p| s + *p);
+        let squares = split.iter().fold(Squares::default(), |s, p| s + *p);
         let rays_noise = self.gather_noise(&weights);
         let missed = meshes.iter().filter(|m| m.error_percent > mesh_target).map(|m| {
             let Squares { apart, soft, indirect } = split[m.instance];

@@ -265,20 +265,22 @@ impl Solver<'_, '_> {
         loop {
             let mut solution = self.converge(round)?;
             solution.audit = self.audit(&solution)?;
+            self.believe_audit(&mut solution);
             // Where an audit finds that the target is not met after all, there is more to do.
-            let next = if self.believes(&mut solution) { self.next(&solution, None) } else { None };
-            match next.filter(|_| solution.limit.is_none()) {
-                Some(next) => {
+            if solution.limit.is_none()
+                && let Some(wish) = self.wish(&solution, MOST_REDUCTION)
+            {
+                if let Some(next) = self.bounded(wish) {
                     self.observer.stage(Stage::Light);
                     round = next;
+                    continue;
                 }
-                None => {
-                    solution.history = std::mem::take(&mut self.history);
-                    solution.rounds = std::mem::take(&mut self.rounds);
-                    solution.seconds = self.seconds;
-                    return Ok(solution);
-                }
+                solution.limit = Some(self.exhausted());
             }
+            solution.history = std::mem::take(&mut self.history);
+            solution.rounds = std::mem::take(&mut self.rounds);
+            solution.seconds = self.seconds;
+            return Ok(solution);
         }
     }
 
@@ -313,7 +315,8 @@ impl Solver<'_, '_> {
             self.last = Some(Outlook { percent: solution.error.high, rays: forecast_rays, estimates });
             let now = self.report_progress()?;
             self.rounds.push(RoundSeconds { at: now.elapsed, forecast: now.elapsed + now.remaining.unwrap_or(0.0) });
-            match self.next(&solution, stopped) {
+            let next = self.wish(&solution, MOST_REDUCTION).and_then(|wish| self.bounded(wish));
+            match next.filter(|_| stopped.is_none()) {
                 Some(next) => round = next,
                 None => {
                     solution.limit = wish.and(stopped.or(Some(self.exhausted())));
@@ -321,12 +324,6 @@ impl Solver<'_, '_> {
                 }
             }
         }
-    }
-
-    /// The next round; `None` where the targets are met or a limit binds.
-    fn next(&mut self, solution: &Solution, stopped: Option<&'static str>) -> Option<Round> {
-        let wish = self.wish(solution, MOST_REDUCTION)?;
-        self.bounded(wish).filter(|_| stopped.is_none())
     }
 
     /// Traces one round; the name of the limit that ended it early.
@@ -467,10 +464,13 @@ impl Solver<'_, '_> {
         if s.error.high <= target && s.mesh_percent <= mesh_target {
             return None;
         }
+        // More photons alone lower what only audits see.
+        let weight: f64 = s.weights.weight.iter().sum();
+        let unseen = (s.error.unseen / 100.0 * s.error.mean).powi(2) * weight;
         let spent = Spent {
             direct: s.squares.apart,
             soft: s.squares.soft,
-            indirect: s.squares.indirect,
+            indirect: s.squares.indirect + unseen,
             direct_cost: SAMPLE_COST * samples,
             photon_cost: self.ledger.rays.max(1) as f64,
         };
