@@ -24,28 +24,75 @@ pub struct LightBounds {
     pub all_around: bool,
 }
 
+/// A node of the binary tree that is built first.
 #[derive(Debug, Clone, Copy)]
 struct Node {
     bounds: LightBounds,
-    centre: Vec3,
-    /// Radius of the sphere around the box, a hair more, and the square of that.
-    radius: f32,
-    bound: f32,
-    bound2: f32,
-    sin_spread: f32,
     /// Left child (the right one follows at `right`), or the light where `right` is 0.
     left: u32,
     right: u32,
 }
 
-impl Node {
-    fn new(bounds: LightBounds, light: u32) -> Node {
+/// Children of a node.
+const WIDTH: usize = 4;
+
+/// A number of each child, side by side: what is done to one is done to all at once.
+type Lanes = [f32; WIDTH];
+
+/// The children of a node of the tree that is drawn from; those that are not there have no power.
+#[derive(Debug, Clone, Copy)]
+struct Wide {
+    centre: [Lanes; 3],
+    axis: [Lanes; 3],
+    power: Lanes,
+    /// Squared radius of the sphere around the box, ...
+    radius2: Lanes,
+    /// ... and its radius and the square of that, a hair more, so that nothing at its border is judged unreachable.
+    bound: Lanes,
+    bound2: Lanes,
+    cos_spread: Lanes,
+    sin_spread: Lanes,
+    /// 1 where it emits to both sides, or to all directions.
+    two_sided: Lanes,
+    all_around: Lanes,
+    /// Where the children are: index of a [`Wide`], or of a light with [`LIGHT`] set.
+    child: [u32; WIDTH],
+}
+
+/// Marks a child that is a light.
+const LIGHT: u32 = 1 << 31;
+
+impl Wide {
+    const EMPTY: Wide = Wide {
+        centre: [[0.0; WIDTH]; 3],
+        axis: [[0.0; WIDTH]; 3],
+        power: [0.0; WIDTH],
+        radius2: [1.0; WIDTH],
+        bound: [1.0; WIDTH],
+        bound2: [1.0; WIDTH],
+        cos_spread: [1.0; WIDTH],
+        sin_spread: [0.0; WIDTH],
+        two_sided: [0.0; WIDTH],
+        all_around: [1.0; WIDTH],
+        child: [0; WIDTH],
+    };
+
+    fn set(&mut self, lane: usize, bounds: &LightBounds, child: u32) {
         let radius = (bounds.hi - bounds.lo).length() * 0.5;
-        // A hair larger than the box, so that nothing at its border is judged unreachable.
         let bound = radius * 1.001 + 1e-6;
-        let sin_spread = (1.0 - bounds.cos_spread * bounds.cos_spread).max(0.0).sqrt();
         let centre = (bounds.lo + bounds.hi) * 0.5;
-        Node { bounds, centre, radius, bound, bound2: bound * bound, sin_spread, left: light, right: 0 }
+        for c in 0..3 {
+            self.centre[c][lane] = centre[c];
+            self.axis[c][lane] = bounds.axis[c];
+        }
+        self.power[lane] = bounds.power;
+        self.radius2[lane] = (radius * radius).max(1e-12);
+        (self.bound[lane], self.bound2[lane]) = (bound, bound * bound);
+        self.cos_spread[lane] = bounds.cos_spread;
+        self.sin_spread[lane] = (1.0 - bounds.cos_spread * bounds.cos_spread).max(0.0).sqrt();
+        self.two_sided[lane] = f32::from(u8::from(bounds.two_sided));
+        self.all_around[lane] = f32::from(u8::from(bounds.all_around));
+        self.child[lane] = child;
     }
 }
 
@@ -58,52 +105,42 @@ const MOST_GROUPS: usize = 64;
 /// The tree. An empty one draws nothing.
 #[derive(Debug, Default)]
 pub struct LightTree {
-    nodes: Vec<Node>,
+    /// The first is the root.
+    nodes: Vec<Wide>,
 }
 
 impl LightTree {
     /// Builds over `lights`; what [`draw`](Self::draw) finds are indices into it.
     pub fn new(lights: &[LightBounds]) -> LightTree {
-        let mut tree = LightTree { nodes: Vec::with_capacity(lights.len() * 2) };
+        let mut tree = LightTree::default();
         let mut order: Vec<u32> = (0..lights.len() as u32).collect();
         if !order.is_empty() {
-            tree.build(lights, &mut order);
+            let mut nodes = Vec::with_capacity(lights.len() * 2);
+            build(&mut nodes, lights, &mut order);
+            tree.widen(&nodes, 0);
         }
         tree
     }
 
-    fn build(&mut self, lights: &[LightBounds], order: &mut [u32]) -> u32 {
-        let me = self.nodes.len() as u32;
-        let bounds = order.iter().map(|&i| lights[i as usize]).reduce(|a, b| merge(&a, &b)).expect("not empty");
-        self.nodes.push(Node::new(bounds, order[0]));
-        if order.len() == 1 {
-            return me;
+    /// Adds the wide node over a binary one.
+    fn widen(&mut self, nodes: &[Node], node: u32) -> u32 {
+        let me = self.nodes.len();
+        self.nodes.push(Wide::EMPTY);
+        let mut children = vec![node];
+        // The most powerful group is looked into first.
+        let inner = |n: &u32| nodes[*n as usize].right != 0;
+        while children.len() < WIDTH {
+            let power = |&k: &usize| nodes[children[k] as usize].bounds.power;
+            let groups = (0..children.len()).filter(|&k| inner(&children[k]));
+            let Some(k) = groups.max_by(|a, b| power(a).total_cmp(&power(b)).then(b.cmp(a))) else { break };
+            let Node { left, right, .. } = nodes[children[k] as usize];
+            children.splice(k..=k, [left, right]);
         }
-        let centre = |i: u32| lights[i as usize].lo + lights[i as usize].hi;
-        let (lo, hi) = order
-            .iter()
-            .fold((Vec3::INFINITY, Vec3::NEG_INFINITY), |(lo, hi), &i| (lo.min(centre(i)), hi.max(centre(i))));
-        let extent = hi - lo;
-        let axis = if extent.x >= extent.y && extent.x >= extent.z {
-            0
-        } else if extent.y >= extent.z {
-            1
-        } else {
-            2
-        };
-        let middle = (lo[axis] + hi[axis]) * 0.5;
-        order.sort_unstable_by(|&a, &b| centre(a)[axis].total_cmp(&centre(b)[axis]).then(a.cmp(&b)));
-        let mut split = order.partition_point(|&i| centre(i)[axis] < middle);
-        // A lopsided split is a deep tree; past one eighth the median is taken.
-        if split < order.len() / 8 || split > order.len() - order.len() / 8 || split == 0 || split == order.len() {
-            split = order.len() / 2;
+        for (lane, child) in children.into_iter().enumerate() {
+            let at = if inner(&child) { self.widen(nodes, child) } else { nodes[child as usize].left | LIGHT };
+            self.nodes[me].set(lane, &nodes[child as usize].bounds, at);
         }
-        let (a, b) = order.split_at_mut(split);
-        let left = self.build(lights, a);
-        let right = self.build(lights, b);
-        self.nodes[me as usize].left = left;
-        self.nodes[me as usize].right = right;
-        me
+        me as u32
     }
 
     /// Draws `count` lights for the point `p` with unit normal `n`, each in proportion to its probability but evenly
@@ -116,12 +153,16 @@ impl LightTree {
         let mut groups = [(0, 0.0); MOST_GROUPS];
         let groups = self.groups((p, n), &mut groups);
         let total: f64 = groups.iter().map(|g| f64::from(g.1)).sum();
-        // Draw k stands at k of the interval [0, count) of all groups, moved by u.
-        let mut from = 0.0;
+        // Draw k stands at k of the interval [0, count) of all groups, moved by u: those before a place are known there.
+        let u = f64::from(u);
+        let (mut from, mut before) = (0.0, 0);
         for &(node, importance) in groups.iter() {
             let width = f64::from(count) * (f64::from(importance) / total);
-            self.descend(node, (from, width), f64::from(u), (p, n), &mut visit);
-            from += width;
+            let after = above(from + width - u);
+            if after > before {
+                self.descend(node, (from, width), (before, after), u, (p, n), &mut visit);
+            }
+            (from, before) = (from + width, after);
         }
     }
 
@@ -132,47 +173,86 @@ impl LightTree {
         let (mut found, mut open) = (0, MOST_GROUPS - 1);
         groups[open].0 = 0;
         while open < MOST_GROUPS {
-            let (node, _) = groups[open];
+            let n = &self.nodes[groups[open].0 as usize];
             open += 1;
-            let n = &self.nodes[node as usize];
-            let importance = importance(n, at.0, at.1);
-            let near = n.centre.distance_squared(at.0) <= NEAR * n.bound2;
-            if importance > 0.0 && near && n.right != 0 && open >= found + 2 {
-                open -= 2;
-                (groups[open].0, groups[open + 1].0) = (n.left, n.right);
-            } else if importance > 0.0 {
-                groups[found] = (node, importance);
-                found += 1;
+            let (importance, distance2) = importance(n, at.0, at.1);
+            for lane in (0..WIDTH).filter(|&lane| importance[lane] > 0.0) {
+                let child = n.child[lane];
+                let near = distance2[lane] <= NEAR * n.bound2[lane];
+                // Each of those still open may turn out to be so many.
+                let room = open - found >= WIDTH * (MOST_GROUPS - open + 1) + WIDTH - lane;
+                if near && child & LIGHT == 0 && room {
+                    open -= 1;
+                    groups[open].0 = child;
+                } else {
+                    groups[found] = (child, importance[lane]);
+                    found += 1;
+                }
             }
         }
         &groups[..found]
     }
 
-    /// Draws in the part [`from`, `from + width`) of a node: its probability is `width` over the number of draws.
+    /// Draws `before` to `after` are in the part [`from`, `from + width`) of a node: its probability is `width` over the
+    /// number of draws.
     fn descend(
         &self,
         node: u32,
-        (from, width): (f64, f64),
+        (mut from, width): (f64, f64),
+        (mut before, after): (i32, i32),
         u: f64,
         at: (Vec3, Vec3),
         visit: &mut impl FnMut(u32, f64),
     ) {
-        let drawn = above(from + width - u) - above(from - u);
-        if drawn <= 0 {
+        if node & LIGHT != 0 {
+            visit(node & !LIGHT, f64::from(after - before) / width);
             return;
         }
-        let Node { left, right, .. } = self.nodes[node as usize];
-        if right == 0 {
-            visit(left, f64::from(drawn) / width);
-            return;
-        }
-        let [a, b] = [left, right].map(|c| f64::from(importance(&self.nodes[c as usize], at.0, at.1)));
-        if a + b > 0.0 {
-            let share = width * (a / (a + b));
-            self.descend(left, (from, share), u, at, visit);
-            self.descend(right, (from + share, width - share), u, at, visit);
+        let n = &self.nodes[node as usize];
+        let importance = importance(n, at.0, at.1).0.map(f64::from);
+        let scale = width / ((importance[0] + importance[1]) + (importance[2] + importance[3]));
+        for lane in (0..WIDTH).filter(|&lane| importance[lane] > 0.0) {
+            let share = importance[lane] * scale;
+            let end = above(from + share - u).min(after);
+            if end > before {
+                self.descend(n.child[lane], (from, share), (before, end), u, at, visit);
+            }
+            (from, before) = (from + share, end);
         }
     }
+}
+
+fn build(nodes: &mut Vec<Node>, lights: &[LightBounds], order: &mut [u32]) -> u32 {
+    let me = nodes.len() as u32;
+    let bounds = order.iter().map(|&i| lights[i as usize]).reduce(|a, b| merge(&a, &b)).expect("not empty");
+    nodes.push(Node { bounds, left: order[0], right: 0 });
+    if order.len() == 1 {
+        return me;
+    }
+    let centre = |i: u32| lights[i as usize].lo + lights[i as usize].hi;
+    let (lo, hi) =
+        order.iter().fold((Vec3::INFINITY, Vec3::NEG_INFINITY), |(lo, hi), &i| (lo.min(centre(i)), hi.max(centre(i))));
+    let extent = hi - lo;
+    let axis = if extent.x >= extent.y && extent.x >= extent.z {
+        0
+    } else if extent.y >= extent.z {
+        1
+    } else {
+        2
+    };
+    let middle = (lo[axis] + hi[axis]) * 0.5;
+    order.sort_unstable_by(|&a, &b| centre(a)[axis].total_cmp(&centre(b)[axis]).then(a.cmp(&b)));
+    let mut split = order.partition_point(|&i| centre(i)[axis] < middle);
+    // A lopsided split is a deep tree; past one eighth the median is taken.
+    if split < order.len() / 8 || split > order.len() - order.len() / 8 || split == 0 || split == order.len() {
+        split = order.len() / 2;
+    }
+    let (a, b) = order.split_at_mut(split);
+    let left = build(nodes, lights, a);
+    let right = build(nodes, lights, b);
+    nodes[me as usize].left = left;
+    nodes[me as usize].right = right;
+    me
 }
 
 fn merge(a: &LightBounds, b: &LightBounds) -> LightBounds {
@@ -213,38 +293,29 @@ fn merge_cones(a: &LightBounds, b: &LightBounds) -> (Vec3, f32) {
     (axis, (libm::cosf(spread) - 1e-4).max(-1.0))
 }
 
-/// About the irradiance that a group sends to `p`; 0 only where it can send none.
+/// About the irradiance that each child sends to `p`, 0 only where it can send none; and its squared distance.
+///
+/// No branches, so that all are worked out together.
 #[inline]
-fn importance(node: &Node, p: Vec3, n: Vec3) -> f32 {
-    let l = &node.bounds;
-    let to = node.centre - p;
-    let d2 = to.length_squared();
-    let distance2 = d2.max(node.radius * node.radius).max(1e-12);
-    if d2 <= node.bound2 {
-        return l.power / distance2;
+fn importance(node: &Wide, p: Vec3, n: Vec3) -> (Lanes, Lanes) {
+    let (mut out, mut distance2) = ([0.0; WIDTH], [0.0; WIDTH]);
+    for i in 0..WIDTH {
+        let to = [node.centre[0][i] - p.x, node.centre[1][i] - p.y, node.centre[2][i] - p.z];
+        let d2 = to[0] * to[0] + to[1] * to[1] + to[2] * to[2];
+        let d = d2.max(1e-30).sqrt();
+        let height = (n.x * to[0] + n.y * to[1] + n.z * to[2]) / d;
+        let along = -(node.axis[0][i] * to[0] + node.axis[1][i] * to[1] + node.axis[2][i] * to[2]) / d;
+        let sin_b = (node.bound[i] / d).min(1.0);
+        let cos_b = (1.0 - sin_b * sin_b).sqrt();
+        let cos_i = minus_angle(height, sin_b, cos_b).max(0.0);
+        let along = if node.two_sided[i] > 0.0 { along.abs() } else { along };
+        let cos_e = minus_angle(minus_angle(along, node.sin_spread[i], node.cos_spread[i]), sin_b, cos_b).max(0.0);
+        let cos_e = if node.all_around[i] > 0.0 { 1.0 } else { cos_e };
+        let cosines = if d2 <= node.bound2[i] { 1.0 } else { cos_e * cos_i };
+        out[i] = node.power[i] * cosines / d2.max(node.radius2[i]);
+        distance2[i] = d2;
     }
-    // Half of all are wholly below the horizon, which needs no angles.
-    let height = n.dot(to);
-    if height < 0.0 && height * height >= node.bound2 {
-        return 0.0;
-    }
-    let d = d2.sqrt();
-    let w = to / d;
-    let sin2_b = node.bound2 / d2;
-    let (sin_b, cos_b) = (node.bound / d, (1.0 - sin2_b).sqrt());
-    let cos_i = minus_angle(height / d, sin_b, cos_b);
-    if cos_i <= 0.0 {
-        return 0.0;
-    }
-    let cos_e = if l.all_around {
-        1.0
-    } else {
-        let c = -l.axis.dot(w);
-        let c = if l.two_sided { c.abs() } else { c };
-        let x = minus_angle(c, node.sin_spread, l.cos_spread);
-        minus_angle(x, sin_b, cos_b)
-    };
-    if cos_e <= 0.0 { 0.0 } else { l.power * cos_e * cos_i / distance2 }
+    (out, distance2)
 }
 
 /// The least whole number that is not below `x`.
@@ -254,13 +325,12 @@ fn above(x: f64) -> i32 {
 }
 
 /// cos(max(0, x - b)) from cos(x) and sin(b), cos(b).
+#[inline]
 fn minus_angle(cos_x: f32, sin_b: f32, cos_b: f32) -> f32 {
-    if cos_x >= cos_b {
-        return 1.0;
-    }
     let sin_x = (1.0 - cos_x * cos_x).max(0.0).sqrt();
     // 1e-4: near the cut-off rounding must not make a reachable light unreachable.
-    cos_x * cos_b + sin_x * sin_b + 1e-4
+    let less = cos_x * cos_b + sin_x * sin_b + 1e-4;
+    if cos_x >= cos_b { 1.0 } else { less }
 }
 
 #[cfg(test)]

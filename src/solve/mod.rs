@@ -474,17 +474,21 @@ impl Solver<'_, '_> {
             direct_cost: SAMPLE_COST * samples,
             photon_cost: self.ledger.rays.max(1) as f64,
         };
-        let (x, mut y) = cheapest_growth(&spent, (s.error.high / target).powi(2).min(most));
+        let needed = (s.error.high / target).powi(2);
+        // All the way, and as far as this round goes.
+        let (x_all, y_all) = cheapest_growth(&spent, needed);
+        let (x, mut y) = cheapest_growth(&spent, needed.min(most));
         let mut round = Round { samples: (samples * (x - 1.0)).ceil().min(1e18) as u64, ..Round::default() };
         if s.mesh_percent > mesh_target {
-            let plan = plan_meshes(&s.missed, s.meshes.len() / 20, mesh_target / 100.0, spent.photon_cost, y);
-            y = plan.photons;
+            // What a mesh needs beyond that: most of them get better with the whole.
+            let plan = plan_meshes(&s.missed, s.meshes.len() / 20, mesh_target / 100.0, spent.photon_cost, y_all);
+            y *= plan.photons / y_all;
             // Light is gathered from what photons found: not before that is about good enough by itself.
             if s.error.high <= GATHER_FROM * target {
                 round.gather = plan.gather;
             }
-            round.direct =
-                plan.direct.into_iter().map(|(i, factor)| (i, factor.min(most * MOST_MESH_GROWTH))).collect();
+            let beyond = plan.direct.into_iter().map(|(i, factor)| (i, (factor / x_all).min(most * MOST_MESH_GROWTH)));
+            round.direct = beyond.filter(|g| g.1 > 1.0).collect();
             let more = self.direct.samples_to_grow(&growing(&self.texels_of, &round.direct));
             round.samples = round.samples.saturating_add(more.ceil().min(1e18) as u64);
         }
