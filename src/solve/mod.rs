@@ -59,6 +59,9 @@ const MOST_MESH_GROWTH: f64 = 4.0;
 /// Meshes gather once the error over all is below this many times its target.
 const GATHER_FROM: f64 = 1.5;
 
+/// Share of a time limit that light may take: the maps are yet to be made.
+const TIME_SHARE: f64 = 0.98;
+
 /// Cost of a direct sample in rays of photons: lamps are weighed and texels clipped besides.
 const SAMPLE_COST: f64 = 2.0;
 
@@ -316,8 +319,11 @@ impl Solver<'_, '_> {
             let now = self.report_progress()?;
             self.rounds.push(RoundSeconds { at: now.elapsed, forecast: now.elapsed + now.remaining.unwrap_or(0.0) });
             let next = self.wish(&solution, MOST_REDUCTION).and_then(|wish| self.bounded(wish));
+            if self.seconds_left().is_some_and(|left| left <= 0.0) {
+                stopped = stopped.or(Some("time-limit"));
+            }
             match next.filter(|_| stopped.is_none()) {
-                Some(next) => round = next,
+                Some(next) => round = self.in_time(next),
                 None => {
                     solution.limit = wish.and(stopped.or(Some(self.exhausted())));
                     return Ok(solution);
@@ -425,6 +431,27 @@ impl Solver<'_, '_> {
 
     fn out_of_time(&self) -> bool {
         self.options.time_limit.is_some_and(|t| self.began.elapsed().as_secs_f64() > t)
+    }
+
+    /// Seconds until the time limit, for an estimate and a hair less.
+    fn seconds_left(&self) -> Option<f64> {
+        let estimate = self.seconds[2] / self.history.len().max(1) as f64;
+        self.options.time_limit.map(|limit| limit * TIME_SHARE - self.began.elapsed().as_secs_f64() - estimate)
+    }
+
+    /// As much of a round as there is time for, of all kinds alike: what comes last would get nothing.
+    fn in_time(&self, mut round: Round) -> Round {
+        let Some(left) = self.seconds_left() else { return round };
+        let per_sample = self.seconds[0] / self.direct.all_samples().max(1) as f64;
+        let per_ray = self.seconds[1] / (self.ledger.rays + self.gather_rays).max(1) as f64;
+        let rays = self.cost(&Round { samples: 0, ..round.clone() });
+        let share = (left / (per_sample * round.samples as f64 + per_ray * rays).max(1e-9)).clamp(0.0, 1.0);
+        if share < 1.0 {
+            round.samples = (round.samples as f64 * share) as u64;
+            round.photons = ((round.photons as f64 * share) as u64).next_multiple_of(1 << LEAST_NET_BITS);
+            round.direct.iter_mut().for_each(|(_, factor)| *factor = 1.0 + (*factor - 1.0) * share);
+        }
+        round
     }
 
     /// Samples, photons and gather rays so far.
