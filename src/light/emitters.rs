@@ -99,7 +99,7 @@ enum Seen {
 pub struct DirectSample {
     /// On the shading normal, of the lights whose direct light is stored.
     pub stored: Vec3,
-    /// Of it what comes from the soft part of the sky: it has no hard shadows.
+    /// Of it what comes from surfaces and the soft part of the sky: its shadows have penumbras.
     pub soft: Vec3,
     /// On the geometric normal, of all lights: what is reflected.
     pub transported: Vec3,
@@ -377,6 +377,7 @@ fn add_triangle(
         let cosines = at.cosines(w.as_vec3());
         let light = radiance * passed * (weight * (polygon.projected() / polygon.cosine(w)) as f32);
         out.add(light, cosines, true);
+        out.soft += light * cosines.1;
     }
 }
 

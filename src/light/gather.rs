@@ -226,14 +226,14 @@ impl Direct {
         t.stored / t.samples.max(1) as f32
     }
 
-    /// What of it is soft: light of the sky, without that of a sun in its image.
+    /// What of it is soft: light of surfaces, and of the sky without that of a sun in its image.
     pub fn soft(&self, half: usize, texel: usize) -> Vec3 {
         let t = &self.halves[half][texel];
         t.soft / t.samples.max(1) as f32
     }
 
-    /// Variance of [`soft`](Self::soft), mean over the channels: as its samples show it, and at least that of a sky that
-    /// all of them saw by chance (Laplace's rule of succession).
+    /// Variance of [`soft`](Self::soft), mean over the channels: as its samples show it, and at least that of light
+    /// that all of them saw by chance (Laplace's rule of succession).
     pub fn soft_variance(&self, half: usize, texel: usize) -> (f64, f64) {
         let t = &self.halves[half][texel];
         let n = f64::from(t.samples);

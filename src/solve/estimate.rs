@@ -1,6 +1,6 @@
 //! What is known after a round: the irradiance of every texel, and how far it is from the truth.
 
-use super::light::scattered;
+use super::light::{Smooth, scattered};
 use super::{LightPath, Solution, Solver, Squares};
 use crate::accuracy::{Halves, Known, Missed, TexelWeights, mesh_errors, texel_error};
 use crate::atlas::NO_CHART;
@@ -19,6 +19,30 @@ const LEAST_BLOCKS: usize = 256;
 /// ... and of a mesh, which has few cells, in quarters, where it drowns less in noise.
 const MESH_BIAS_DEPTH: u32 = 2;
 
+/// Direct light is smoothed over cells while its own noise is more than this share of the target, ...
+const SMOOTH_WHILE: f64 = 0.35;
+
+/// ... from when it is more than this one, ...
+const SMOOTH_FROM: f64 = 0.7;
+
+/// ... and where less than this share of the squared error is left.
+const SMOOTH_GAIN: f64 = 0.5;
+
+/// Direct light of all texels.
+struct DirectLight {
+    /// What each texel has by its own samples.
+    apart: Halves,
+    /// What is smoothed.
+    soft: Option<Soft>,
+}
+
+/// Smoothed direct light.
+struct Soft {
+    light: Smooth,
+    /// The same by texel.
+    halves: Halves,
+}
+
 impl Solver<'_, '_> {
     /// Irradiance and errors as they stand.
     ///
@@ -31,10 +55,8 @@ impl Solver<'_, '_> {
         let mut found = self.reconstruct(&caught);
         self.gather(&mut found)?;
         let indirect = self.texel_halves(&found);
-        let sky = self.soft_sky();
-        let apart = self.direct_halves(sky.is_some());
-        let soft = sky.as_ref().map(|s| self.texel_halves(&s.found));
-        let direct = soft.as_ref().map_or_else(|| apart.clone(), |soft| apart.plus(soft));
+        let DirectLight { apart, soft } = self.direct_light(&indirect);
+        let direct = soft.as_ref().map_or_else(|| apart.clone(), |soft| apart.plus(&soft.halves));
         let total = direct.plus(&indirect);
         let weights = self.stored_weights(&total);
 
@@ -43,16 +65,23 @@ impl Solver<'_, '_> {
             let i = tree.elements[k].texel as usize;
             // A mean over buried area as well errs in its open share alone.
             let share = if whole { f64::from(open[i]).powi(2) } else { 1.0 };
-            let smooth = sky.is_some() || !self.has_gathered(weights.instance[i] as usize);
+            let smooth = soft.is_some() || !self.has_gathered(weights.instance[i] as usize);
             (if smooth { weights.weight[i] * share } else { 0.0 }, weights.instance[i])
         };
-        let smoothed = self.smoothed(&caught, &found, sky.as_ref());
+        let smoothed = self.smoothed(&caught, &found, soft.as_ref().map(|s| &s.light));
         let biases = |depth: u32| match self.options.smoothing {
             Smoothing::Cells => smoothed.bias(tree, instances, depth, weight),
             Smoothing::None => vec![Bias::default(); instances + 1],
         };
         let depth = BIAS_DEPTH.max(LEAST_BLOCKS.div_ceil(smoothed.blocks.len().max(1)).next_power_of_two().ilog2());
-        let whole_bias = biases(depth)[instances];
+        let mut whole_bias = biases(depth)[instances];
+        if let Some(Soft { light, .. }) = &soft {
+            // What averages out within blocks is seen where texels have samples of their own: edges of shadows.
+            let [fine, coarse] = [None, Some((&smoothed.blocks[..], depth))]
+                .map(|of| light.bias(tree, of, instances, weight)[instances]);
+            whole_bias.square += fine.square - coarse.square;
+            whole_bias.variance += fine.variance;
+        }
         let biases = biases(MESH_BIAS_DEPTH);
         let error = texel_error(&Known {
             direct: &direct,
@@ -69,7 +98,7 @@ impl Solver<'_, '_> {
         let (target, mesh_target) = (self.options.target_percent, self.options.mesh_target());
         let (meshes, area_within_target) = mesh_errors(visibility.world, &total, &weights, &biases, error.mean, target);
         let mesh_percent = percentile_95(&meshes);
-        let split = self.squares(&apart, soft.as_ref(), &indirect, &weights, &biases);
+        let split = self.squares(&apart, soft.as_ref().map(|s| &s.halves), &indirect, &weights, &biases);
         let squares = split.iter().fold(Squares::default(), |s, p| s + *p);
         let rays_noise = self.gather_noise(&weights);
         let missed = meshes.iter().filter(|m| m.error_percent > mesh_target).map(|m| {
@@ -114,6 +143,43 @@ impl Solver<'_, '_> {
             unit: self.flux.map_or(0.0, |f| f.unit),
             seconds: self.seconds,
         })
+    }
+
+    /// Direct light, smoothed over cells where that is surely better than what the samples of each texel tell alone.
+    fn direct_light(&mut self, indirect: &Halves) -> DirectLight {
+        let LightPath { tree, .. } = self.path;
+        let raw = self.direct_halves(false);
+        let weight = &self.weights.weight;
+        let noise = |halves: &Halves| -> f64 {
+            let of = |i: usize| weight[i] * f64::from(halves.difference(i).length_squared()) / 3.0;
+            (0..weight.len()).filter(|&i| weight[i] > 0.0).map(of).sum()
+        };
+        let light = |i: usize| weight[i] * f64::from((raw.mean(i) + indirect.mean(i)).element_sum()) / 3.0;
+        let all: f64 = weight.iter().sum();
+        let mean = (0..weight.len()).map(light).sum::<f64>() / all.max(1e-300);
+        let raw_noise = noise(&raw);
+        let under_sky = self.path.emitters.sky().is_some();
+        let share = if self.smooths_direct == Some(true) || under_sky { SMOOTH_WHILE } else { SMOOTH_FROM };
+        let allowed = all * (share * self.options.target_percent / 100.0 * mean).powi(2);
+        // Under lamps alone a second look at a scene is much better than the first.
+        let early = self.history.is_empty() && !under_sky;
+        if raw_noise > allowed
+            && !early
+            && self.smooths_direct != Some(false)
+            && let Some(light) = self.soft_light()
+        {
+            let soft = Soft { halves: self.texel_halves(&light.found), light };
+            let apart = self.direct_halves(true);
+            let bias = soft.light.bias(tree, None, 1, |k| (weight[tree.elements[k].texel as usize], 0));
+            let left = noise(&apart.plus(&soft.halves)) + bias[1].likely();
+            // The more samples there are, the less there is to gain.
+            let gains = left < SMOOTH_GAIN * raw_noise;
+            self.smooths_direct = Some(gains);
+            if gains {
+                return DirectLight { apart, soft: Some(soft) };
+            }
+        }
+        DirectLight { apart: raw, soft: None }
     }
 
     /// Squared relative noise of the flux that photons start with. They start at direct samples: how far the halves

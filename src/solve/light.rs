@@ -1,5 +1,5 @@
-//! The light of every texel as it stands after a round: direct light from samples, that of the sky and of photons
-//! smoothed over cells, or gathered.
+//! The light of every texel as it stands after a round: direct light from samples, the soft part of it and that of
+//! photons smoothed over cells, or gathered.
 
 use super::{LightPath, Solver};
 use crate::accuracy::{GATHER_AGAIN, Halves};
@@ -14,7 +14,7 @@ use std::time::Instant;
 const GATHER_CHUNK: usize = 4096;
 
 impl Solver<'_, '_> {
-    /// Direct light by the samples of each texel alone, without that of the soft sky where it is smoothed.
+    /// Direct light by the samples of each texel alone, without the soft part of it where that is smoothed.
     pub(super) fn direct_halves(&self, smoothed: bool) -> Halves {
         let (direct, open) = (&self.direct, self.path.open);
         let whole = self.options.texel_value == TexelValue::Mean;
@@ -28,8 +28,8 @@ impl Solver<'_, '_> {
         Halves { odd: half(0), even: half(1) }
     }
 
-    /// Light of the soft sky, smoothed over cells as if photons had brought it; `None` where it has no noise.
-    pub(super) fn soft_sky(&self) -> Option<Smooth> {
+    /// Light of surfaces and of the sky, smoothed over cells as if photons had brought it; `None` where it has no noise.
+    pub(super) fn soft_light(&self) -> Option<Smooth> {
         let LightPath { tree, texels, visibility, .. } = self.path;
         if self.options.smoothing == Smoothing::None {
             return None;
@@ -60,22 +60,22 @@ impl Solver<'_, '_> {
     }
 
     /// All light that is smoothed, with that of the photons where nothing is gathered.
-    pub(super) fn smoothed(&self, caught: &[Caught; 2], found: &Reconstruction, sky: Option<&Smooth>) -> Smoothed {
+    pub(super) fn smoothed(&self, caught: &[Caught; 2], found: &Reconstruction, soft: Option<&Smooth>) -> Smoothed {
         let elements = &self.path.tree.elements;
         let by_photons = |k: usize| {
             let instance = self.weights.instance[elements[k].texel as usize];
             if self.has_gathered(instance as usize) { 0.0 } else { 1.0 }
         };
-        let both = |k: usize, photons: Vec3, sky: Option<Vec3>| photons * by_photons(k) + sky.unwrap_or_default();
+        let both = |k: usize, photons: Vec3, soft: Option<Vec3>| photons * by_photons(k) + soft.unwrap_or_default();
         let values = [0, 1].map(|h| {
-            let of = |k| both(k, found.values[h][k], sky.map(|s| s.found.values[h][k]));
+            let of = |k| both(k, found.values[h][k], soft.map(|s| s.found.values[h][k]));
             (0..elements.len()).into_par_iter().map(of).collect()
         });
         let caught = [0, 1].map(|h| {
-            let of = |k: usize| both(k, caught[h].flux[k].into(), sky.map(|s| s.caught[h].flux[k].into())).to_array();
+            let of = |k: usize| both(k, caught[h].flux[k].into(), soft.map(|s| s.caught[h].flux[k].into())).to_array();
             (0..elements.len()).into_par_iter().map(of).collect()
         });
-        let blocks = sky.map_or_else(|| found.blocks.clone(), |s| refined(&found.blocks, &s.found.blocks));
+        let blocks = soft.map_or_else(|| found.blocks.clone(), |s| refined(&found.blocks, &s.found.blocks));
         Smoothed { values, caught, blocks }
     }
 
@@ -186,10 +186,28 @@ impl Solver<'_, '_> {
     }
 }
 
-/// Light of the soft sky.
+/// Soft light.
 pub(super) struct Smooth {
     caught: [Caught; 2],
     pub(super) found: Reconstruction,
+}
+
+impl Smooth {
+    /// Its own bias, over blocks halved so often, or over single texels.
+    pub(super) fn bias(
+        &self,
+        tree: &SurfaceTree,
+        blocks: Option<(&[Node], u32)>,
+        groups: usize,
+        weight: impl Fn(usize) -> (f64, u32) + Sync,
+    ) -> Vec<Bias> {
+        let (caught, found) = (self.caught.each_ref().map(|c| c.flux.as_slice()), &self.found.values);
+        let values = [found[0].as_slice(), found[1].as_slice()];
+        match blocks {
+            Some((blocks, depth)) => bias(tree, caught, values, blocks, groups, depth, weight),
+            None => bias(tree, caught, values, &tree.cut(|n| n.elements.len() == 1), groups, 0, weight),
+        }
+    }
 }
 
 /// Light that is smoothed over cells: in two halves the irradiance (lux) and the flux that was caught of each element.

@@ -171,6 +171,8 @@ struct Solver<'a, 'o> {
     began: Instant,
     weights: TexelWeights,
     direct: Direct,
+    /// Whether it was better smoothed over cells when that was last tried.
+    smooths_direct: Option<bool>,
     bins: Bins<'a>,
     flux: Option<Flux>,
     /// Where photons of each half started last.
@@ -228,6 +230,7 @@ pub fn solve(
         began,
         weights,
         direct: Direct::new(path.texels.texels.len()),
+        smooths_direct: None,
         bins: Bins::new(path.visibility.world, path.texels, path.open),
         flux: None,
         starts: None,
