@@ -80,7 +80,7 @@ impl Solver<'_, '_> {
             let [fine, coarse] = [None, Some((&smoothed.blocks[..], depth))]
                 .map(|of| light.bias(tree, of, instances, weight)[instances]);
             whole_bias.square += fine.square - coarse.square;
-            whole_bias.variance += fine.variance;
+            whole_bias.variance = (whole_bias.variance - coarse.variance).max(0.0) + fine.variance;
         }
         let biases = biases(MESH_BIAS_DEPTH);
         let error = texel_error(&Known {
