@@ -77,25 +77,32 @@ fn cube_meets_the_radiosity_solution() {
     }
 }
 
+/// The mean of one bake at 2 % scatters by 0.11 % (64 seeds), that of 16 by 0.027 %: off by 0.12 % by chance once in
+/// 100,000 runs.
 #[test]
 fn furnace_is_the_same_everywhere() {
     let scene = load("furnace.glb");
-    let bake = run(&scene, &options(64, 2.0));
     let expected = PI * 3.0 / (1.0 - 0.5);
-    let (mut sum, mut area, mut squares) = (0.0, 0.0, 0.0);
-    for (e, a, _) in texels(&bake) {
-        sum += e * a;
-        area += a;
-        squares += (e / expected - 1.0).powi(2) * a;
+    let seeds = 16;
+    let mut means = 0.0;
+    for seed in 0..seeds {
+        let bake = run(&scene, &BakeOptions { seed, ..options(64, 2.0) });
+        let (mut sum, mut area, mut squares) = (0.0, 0.0, 0.0);
+        for (e, a, _) in texels(&bake) {
+            sum += e * a;
+            area += a;
+            squares += (e / expected - 1.0).powi(2) * a;
+        }
+        means += sum / area / seeds as f64;
+        let rms = (squares / area).sqrt() * 100.0;
+        // One channel's noise is the joint noise here: all channels carry the same light.
+        assert!(
+            rms < 1.3 * bake.report.texel_error_interval[1],
+            "rms {rms} %, reported {:?}",
+            bake.report.texel_error_interval
+        );
     }
-    let rms = (squares / area).sqrt() * 100.0;
-    assert!((sum / area / expected - 1.0).abs() < 0.003, "mean {} for {expected}", sum / area);
-    // One channel's noise is the joint noise here: all channels carry the same light.
-    assert!(
-        rms < 1.3 * bake.report.texel_error_interval[1],
-        "rms {rms} %, reported {:?}",
-        bake.report.texel_error_interval
-    );
+    assert!((means / expected - 1.0).abs() < 0.0012, "mean {means} for {expected}");
 }
 
 #[test]
