@@ -1,7 +1,7 @@
 //! 6. From photons in texels to irradiance: cells as large as the noise asks for, and planes over them.
 //!
-//! In: the flux that each texel of the map caught of photons, or of the sky by samples of its own, in two halves. Out:
-//! its irradiance, in two halves, each with cells chosen by its own data; both share one number alone, how far counts
+//! In: the flux that each texel of the map caught of photons, or of lamps and the sky by samples of its own, in two
+//! halves. Out: its irradiance, in two halves, each with cells chosen by its own data; both share one number alone, how far counts
 //! scatter. Their difference then holds all of the noise, and the product of what both smooth away, their
 //! [`bias`](bias()). Meshes that photons are too slow for [`Gather`].
 

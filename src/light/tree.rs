@@ -222,6 +222,7 @@ impl LightTree {
     }
 }
 
+/// Adds the binary tree over the lights of `order`, its root first; where that is.
 fn build(nodes: &mut Vec<Node>, lights: &[LightBounds], order: &mut [u32]) -> u32 {
     let me = nodes.len() as u32;
     let bounds = order.iter().map(|&i| lights[i as usize]).reduce(|a, b| merge(&a, &b)).expect("not empty");

@@ -212,10 +212,14 @@ impl Solver<'_, '_> {
             let starts = sum.indirect.min(starts);
             let photons = sum.indirect - starts;
             // Bias is smoothed noise: of what is noisier there is more. What is gathered is not smoothed: called its own,
-            // the bias of the sky had photons asked for that could not lower it.
+            // the bias of direct light had photons asked for that could not lower it.
             let smooth = if self.has_gathered(instance) { 0.0 } else { photons };
-            let of_sky = sum.soft / (sum.soft + smooth).max(1e-300) * bias.likely();
-            Squares { apart: sum.apart + starts, soft: sum.soft + of_sky, indirect: photons + bias.likely() - of_sky }
+            let of_direct = sum.soft / (sum.soft + smooth).max(1e-300) * bias.likely();
+            Squares {
+                apart: sum.apart + starts,
+                soft: sum.soft + of_direct,
+                indirect: photons + bias.likely() - of_direct,
+            }
         };
         sums.into_iter().zip(biases).enumerate().map(split).collect()
     }

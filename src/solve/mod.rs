@@ -326,7 +326,7 @@ impl Solver<'_, '_> {
                 stopped = stopped.or(Some("time-limit"));
             }
             match next.filter(|_| stopped.is_none()) {
-                Some(next) => round = self.in_time(next),
+                Some(next) => round = next,
                 None => {
                     solution.limit = wish.and(stopped.or(Some(self.exhausted())));
                     return Ok(solution);
@@ -436,7 +436,7 @@ impl Solver<'_, '_> {
         self.options.time_limit.is_some_and(|t| self.began.elapsed().as_secs_f64() > t)
     }
 
-    /// Seconds until the time limit, for an estimate and a hair less.
+    /// Seconds that light may still take: until the time limit, less those of an estimate.
     fn seconds_left(&self) -> Option<f64> {
         let estimate = self.seconds[2] / self.history.len().max(1) as f64;
         self.options.time_limit.map(|limit| limit * TIME_SHARE - self.began.elapsed().as_secs_f64() - estimate)
@@ -528,7 +528,7 @@ impl Solver<'_, '_> {
         Some(round)
     }
 
-    /// `wish`, bounded in growth; `None` where no work is left that would help. Notes which meshes gather.
+    /// `wish`, bounded in growth and time; `None` where no work is left that would help. Notes which meshes gather.
     fn bounded(&mut self, mut wish: Round) -> Option<Round> {
         let most = |n: u64| (n as f64 * (MOST_GROWTH - 1.0)) as u64;
         wish.samples = wish.samples.min(most(self.direct.all_samples()));
@@ -548,7 +548,8 @@ impl Solver<'_, '_> {
         });
         wish.gather = affordable.map(|c| c.1).collect();
         wish.gather.iter().for_each(|&(instance, rays)| self.gathered[instance] = rays);
-        (wish.samples > 0 || wish.photons > 0 || !wish.gather.is_empty()).then_some(wish)
+        let some = wish.samples > 0 || wish.photons > 0 || !wish.gather.is_empty();
+        some.then(|| self.in_time(wish))
     }
 
     fn exhausted(&self) -> &'static str {
