@@ -6,9 +6,9 @@ use crate::atlas::{self, Atlas, Texels};
 use crate::cell::SurfaceTree;
 use crate::error::{BakeError, Warning};
 use crate::light::{COVER, Emitters, LightSettings, Lighting, Visibility, open_shares, shown_texels};
-use crate::lightmap::Lightmap;
+use crate::lightmap::{GridPoints, Lightmap, shown_error};
 use crate::observer::{Observer, Stage};
-use crate::options::{BakeOptions, Lights, TexelValue};
+use crate::options::{BakeOptions, DoubleSided, Lights, Normals, TexelValue};
 use crate::report::{AtlasSummary, Energy, Report, Seconds, Split, Work};
 use crate::scene::{Scene, SurfaceFlags, World};
 use crate::solve::{LightPath, Solution, solve};
@@ -101,8 +101,18 @@ fn bake_here<'s>(scene: &'s Scene, options: &BakeOptions, observer: &mut dyn Obs
 
     observer.stage(Stage::Finish);
     let lightmap = Lightmap::new(&world, &atlas, &texels, &shown, &solution, options);
+    let points = GridPoints {
+        seed: options.seed,
+        light: path.light(options.normals == Normals::Smooth),
+        weights: &solution.weights,
+        smooth: &solution.smooth,
+        smooth_direct: solution.smooth_direct,
+        split: options.double_sided == DoubleSided::Split,
+    };
+    let on_screen = shown_error(&points, &lightmap.pages, &solution.error);
     let mut report = report(&world, &atlas, &texels, &open, &solution, &lighting, options);
     report.warnings.extend(coincident_warning(&world, &parted));
+    report.set_shown(&on_screen);
     (report.work.emissive_triangles, report.work.lights) = emitters.counts();
     report.work.probe_rays = probe_rays;
     if emitters.is_empty() {
@@ -161,8 +171,9 @@ fn report(
         texel_error_interval: [0.0; 2],
         luminance_error_percent: 0.0,
         audit: solution.audit.ok(),
-        texel_grid_error: None,
-        shown_error_percent: None,
+        texel_grid_error: 0.0,
+        texel_grid_resolution: 0.0,
+        shown_error_percent: 0.0,
         area_within_target: solution.area_within_target,
         mesh_error_percent_95: solution.mesh_percent,
         outlier_share: 0.0,

@@ -1,7 +1,9 @@
 //! 8. The finished maps in memory.
 
+mod grid;
 mod gutter;
 
+pub use grid::{Deviation, GridPoints, Shown, shown_error};
 pub use gutter::fill_gutters;
 
 /// The finished lightmaps, one per atlas page.
@@ -21,7 +23,7 @@ pub struct LightmapPage {
     /// Irradiance E, lux, linear Rec. 709 RGB, as stored: texels without coverage filled by
     /// [`fill_gutters`].
     pub irradiance: Vec<[f32; 3]>,
-    /// Half the difference of the two halves, (E_odd - E_even) / 2 (lux): as noisy as E itself.
+    /// Half the difference of the two halves, (E_odd - E_even) / 2 (lux): as noisy as E itself; filled likewise.
     pub half_difference: Vec<[f32; 3]>,
     /// Irradiance of the back side where double-sided surfaces are stored as two layers; empty otherwise.
     pub back: Vec<[f32; 3]>,

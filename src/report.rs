@@ -2,6 +2,7 @@
 
 use crate::accuracy::{Audit, MeshError, TexelError};
 use crate::error::Warning;
+use crate::lightmap::Shown;
 use crate::options::Quantity;
 use crate::photon::EnergyLedger;
 use serde::Serialize;
@@ -45,10 +46,12 @@ pub struct Report {
     pub luminance_error_percent: f64,
     /// What path tracing says of the texel error; `null` where it was not asked.
     pub audit: Option<Audit>,
-    /// RMS of bilinear filtering against the irradiance inside the texels; `null` while not estimated.
-    pub texel_grid_error: Option<f64>,
-    /// Texel error and grid error together; `null` while not estimated.
-    pub shown_error_percent: Option<f64>,
+    /// RMS of bilinear filtering of texels without noise against the irradiance inside them.
+    pub texel_grid_error: f64,
+    /// A grid error that could not be told from none: the root of the standard error of its square.
+    pub texel_grid_resolution: f64,
+    /// What a filter shows: grid error, the noise that filtering leaves, bias and what the audit found.
+    pub shown_error_percent: f64,
     /// Share of the area whose error is at most the target times max(E there, 1 % of the mean).
     pub area_within_target: f64,
     /// Error that 95 % of the meshes are under.
@@ -258,5 +261,12 @@ impl Report {
         self.outlier_share = e.outlier_share;
         self.split = Split { direct: e.direct, indirect: e.indirect };
         self.mean_irradiance = e.mean;
+    }
+
+    /// Copies what filtering shows into the report's keys.
+    pub fn set_shown(&mut self, shown: &Shown) {
+        self.texel_grid_error = shown.grid;
+        self.texel_grid_resolution = shown.resolution;
+        self.shown_error_percent = shown.percent;
     }
 }

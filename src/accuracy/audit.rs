@@ -6,7 +6,7 @@
 //! emitters and the open shares of texels are the ones that the map was made with.
 
 use super::estimate::{Halves, TexelError, TexelWeights, Unseen};
-use super::interval::TWO_SIDED_95;
+use super::interval::{Moments, TWO_SIDED_95};
 use crate::accel::{Ray, offset_origin};
 use crate::atlas::TexelSampler;
 use crate::light::{Receiver, SAMPLE_DIMENSIONS, TexelLight};
@@ -130,21 +130,8 @@ impl Auditor<'_> {
     /// Audits a map that is not black and is stated to err by `stated`, for a `target` in percent. `None` where `go_on`
     /// said no.
     pub fn run(&self, effort: Effort, stated: &TexelError, target: f64, go_on: &dyn Fn() -> bool) -> Option<Audit> {
-        let cumulative: Vec<f64> = self
-            .weights
-            .weight
-            .iter()
-            .scan(0.0, |sum, w| {
-                *sum += w;
-                Some(*sum)
-            })
-            .collect();
-        let (total, mean) = (cumulative.last().copied().unwrap_or(0.0), stated.mean);
-        // Texels evenly spread over the weight, all moved by one random number.
-        let draw = |n: usize, moved: f64| -> Vec<usize> {
-            let pick = |j: usize| cumulative.partition_point(|c| *c <= (j as f64 + moved) / n as f64 * total);
-            (0..n).map(|j| pick(j).min(cumulative.len() - 1)).collect()
-        };
+        let mean = stated.mean;
+        let draw = |n: usize, moved: f64| self.weights.spread(n, moved);
         let mut random = Stream::new(hash_mix(self.seed, AUDIT));
 
         let pilot = self.estimates(&draw(PILOT_TEXELS, f64::from(random.unit())), PILOT_PATHS, 1, go_on)?;
@@ -285,36 +272,5 @@ impl Auditor<'_> {
             }
         }
         if sum.is_finite() { sum } else { Vec3::ZERO }
-    }
-}
-
-/// Sums for a mean and its standard error.
-#[derive(Clone, Copy, Default)]
-struct Moments {
-    n: f64,
-    sum: f64,
-    squares: f64,
-}
-
-impl Moments {
-    fn add(&mut self, x: f64) {
-        self.n += 1.0;
-        self.sum += x;
-        self.squares += x * x;
-    }
-
-    fn mean(&self) -> f64 {
-        self.sum / self.n.max(1.0)
-    }
-
-    /// The root (%) of the mean square, and so many standard errors of that.
-    fn percent(&self, deviations: f64) -> f64 {
-        100.0 * (self.mean() + deviations * self.deviation()).max(0.0).sqrt()
-    }
-
-    /// Standard error of the mean.
-    fn deviation(&self) -> f64 {
-        let scatter = (self.squares - self.sum * self.mean()).max(0.0) / (self.n - 1.0).max(1.0);
-        (scatter / self.n.max(1.0)).sqrt()
     }
 }

@@ -65,6 +65,19 @@ impl TexelWeights {
 }
 
 impl TexelWeights {
+    /// `n` texels, evenly spread over all weight in their order, moved by `moved` of the way from one to the next, in
+    /// [0, 1).
+    pub fn spread(&self, n: usize, moved: f64) -> Vec<usize> {
+        let sum = |sum: &mut f64, w: &f64| {
+            *sum += w;
+            Some(*sum)
+        };
+        let cumulative: Vec<f64> = self.weight.iter().scan(0.0, sum).collect();
+        let total = cumulative.last().copied().unwrap_or(0.0);
+        let pick = |j: usize| cumulative.partition_point(|c| *c <= (j as f64 + moved) / n as f64 * total);
+        (0..n).map(|j| pick(j).min(cumulative.len().saturating_sub(1))).collect()
+    }
+
     /// Leaves a texel out of the maps and of all figures.
     pub fn drop(&mut self, texel: usize) {
         self.weight[texel] = 0.0;

@@ -1,4 +1,4 @@
-//! Quantiles.
+//! Quantiles, and means with their standard errors.
 
 /// Half the 95 % interval of a normal distribution, in standard deviations.
 pub const TWO_SIDED_95: f64 = 1.96;
@@ -52,6 +52,39 @@ pub fn chi_square_quantile(p: f64, nu: f64) -> f64 {
     let a = 2.0 / (9.0 * nu);
     let t = 1.0 - a + normal_quantile(p) * a.sqrt();
     nu * t.max(0.0).powi(3)
+}
+
+/// Sums for a mean and its standard error.
+#[derive(Debug, Clone, Copy, Default)]
+pub struct Moments {
+    n: f64,
+    sum: f64,
+    squares: f64,
+}
+
+impl Moments {
+    /// One more value.
+    pub fn add(&mut self, x: f64) {
+        self.n += 1.0;
+        self.sum += x;
+        self.squares += x * x;
+    }
+
+    /// Mean of the values; 0 without any.
+    pub fn mean(&self) -> f64 {
+        self.sum / self.n.max(1.0)
+    }
+
+    /// The root (%) of the mean square, and so many standard errors of that.
+    pub fn percent(&self, deviations: f64) -> f64 {
+        100.0 * (self.mean() + deviations * self.deviation()).max(0.0).sqrt()
+    }
+
+    /// Standard error of the mean.
+    pub fn deviation(&self) -> f64 {
+        let scatter = (self.squares - self.sum * self.mean()).max(0.0) / (self.n - 1.0).max(1.0);
+        (scatter / self.n.max(1.0)).sqrt()
+    }
 }
 
 #[cfg(test)]

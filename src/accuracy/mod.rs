@@ -15,5 +15,5 @@ mod plan;
 
 pub use audit::{Audit, Auditor, Effort, Verdict};
 pub use estimate::{Halves, Known, MeshError, TexelError, TexelWeights, Unseen, mesh_errors, texel_error};
-pub use interval::{chi_square_quantile, normal_quantile};
+pub use interval::{Moments, TWO_SIDED_95, chi_square_quantile, normal_quantile};
 pub use plan::{GATHER_AGAIN, MeshPlan, Missed, Spent, cheapest_growth, gather_rays, plan_meshes};

@@ -152,6 +152,28 @@ impl Texels {
         (page, local % self.page_width[page], local / self.page_width[page])
     }
 
+    /// Where a point of a triangle lies on its page [texels]; `None` where the triangle has no texel.
+    pub fn on_page(&self, triangle: u32, uv: Vec2) -> Option<DVec2> {
+        let t = &self.triangles[triangle as usize];
+        let (uv, [a, b, c]) = (uv.as_dvec2(), t.corners.map(|c| c.as_dvec2()));
+        (t.base != NO_TEXEL).then(|| a + (b - a) * uv.x + (c - a) * uv.y)
+    }
+
+    /// The texel of the same chart and side so many columns and rows beside a texel on the map.
+    pub fn beside(&self, texel: usize, [right, down]: [i32; 2]) -> Option<usize> {
+        let (page, x, y) = self.page_position(texel);
+        let (base, width) = (self.page_base[page], self.page_width[page]);
+        let end = self.page_base.get(page + 1).copied().unwrap_or(self.mapped_cells);
+        let (x, y) = (x.checked_add_signed(right)?, y.checked_add_signed(down)?);
+        if x >= width || y >= (end - base) / width {
+            return None;
+        }
+        let t = &self.texels[texel];
+        let table = if t.back { &self.back } else { &self.front };
+        let id = table[(base + y * width + x) as usize];
+        (id != NO_TEXEL && self.texels[id as usize].chart == t.chart).then_some(id as usize)
+    }
+
     /// The texels of the same side at the eight cells around a texel on the map.
     pub fn around(&self, texel: usize) -> impl Iterator<Item = usize> + '_ {
         let (page, x, y) = self.page_position(texel);

@@ -5,13 +5,13 @@ use rayon::prelude::*;
 
 type Rgb = [f32; 3];
 
-/// Fills the texels without coverage of `irradiance` and `back`: `gutter` rings around the charts with the
+/// Fills the texels without coverage of `irradiance`, `half_difference` and `back`: `gutter` rings around the charts with the
 /// mean of their known neighbours, and all the rest from a pyramid of means (push-pull: Gortler et al., "The
 /// Lumigraph", 1996, section 3.4.1), so that every mip level shows the mean of what is covered nearby.
 ///
 /// What stands in uncovered texels is never read: the result depends on covered texels only. A page without
-/// any covered texel becomes black. `back` may be empty; a page whose vectors do not have `width * height`
-/// entries is left as it is.
+/// any covered texel becomes black. What does not have `width * height` entries, as `back` may, is left
+/// as it is.
 pub fn fill_gutters(page: &mut LightmapPage, gutter: u32) {
     let (width, height) = (page.width as usize, page.height as usize);
     let n = width * height;
@@ -19,7 +19,7 @@ pub fn fill_gutters(page: &mut LightmapPage, gutter: u32) {
         return;
     }
     let known: Vec<bool> = page.coverage.iter().map(|&c| c > 0.0).collect();
-    for image in [&mut page.irradiance, &mut page.back] {
+    for image in [&mut page.irradiance, &mut page.half_difference, &mut page.back] {
         if image.len() == n {
             let mut known = known.clone();
             image.par_iter_mut().zip(&known).filter(|(_, k)| !**k).for_each(|(t, _)| *t = [0.0; 3]);

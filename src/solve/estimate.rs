@@ -114,8 +114,11 @@ impl Solver<'_, '_> {
             }
         });
         let missed = missed.collect();
+        let smooth_direct = soft.is_some();
         Ok(Solution {
             total,
+            smooth: soft.map_or_else(|| indirect.clone(), |soft| indirect.plus(&soft.halves)),
+            smooth_direct,
             weights,
             error,
             meshes,

@@ -182,7 +182,7 @@ fn split(r: &Report) -> String {
         ("noise of indirect light", Some(r.split.indirect)),
         ("cell bias", Some(r.cell_bias)),
         ("found by the audit alone", r.audit.map(|_| r.unseen_error)),
-        ("texel grid", r.texel_grid_error),
+        ("texel grid", Some(r.texel_grid_error)),
     ];
     let most = parts.iter().filter_map(|p| p.1).fold(1e-9, f64::max);
     let bar = |(what, value): &(&str, Option<f64>)| match value {

@@ -1,0 +1,189 @@
+//! What bilinear filtering makes of the maps: how far it is from the irradiance inside the texels.
+//!
+//! At random points of the surface the filtered value B of each half is compared with the irradiance E there. Light
+//! with edges is sampled at the point itself, twice, V1 and V2; light without is followed by a quadratic through the
+//! texels around, Q. The noise of all four cancels in the mean of (B_odd - Q_odd - V1)(B_even - Q_even - V2), which
+//! is that of (B - E)^2 for texels without noise: the squared discretisation error of the founding paper (Voloboy
+//! et al., "Analysis of accuracy of global illumination simulation").
+
+use super::LightmapPage;
+use crate::accuracy::{Halves, Moments, TexelError, TexelWeights};
+use crate::atlas::TexelSampler;
+use crate::light::{Receiver, TexelLight};
+use crate::sampling::{Stream, hash_mix};
+use glam::{DVec2, Vec2, Vec3};
+use rayon::prelude::*;
+
+/// Points: so many for each texel, but no more than these in all.
+const POINTS_PER_TEXEL: usize = 8;
+const MOST_POINTS: usize = 1 << 17;
+
+/// A point that is covered is drawn anew so many times at most.
+const DRAWS: usize = 4;
+
+/// Sets the random numbers of points apart from all others.
+const GRID: u64 = 0x0067_7269_6400_0000;
+
+/// What points are compared with.
+#[derive(Debug, Clone, Copy)]
+pub struct GridPoints<'a> {
+    /// Seed of the bake.
+    pub seed: u64,
+    /// What direct light is found with, on the normals that receive it.
+    pub light: TexelLight<'a>,
+    /// How texels count.
+    pub weights: &'a TexelWeights,
+    /// Light without edges within a texel (lux).
+    pub smooth: &'a Halves,
+    /// Whether soft direct light is a part of that.
+    pub smooth_direct: bool,
+    /// Whether backs have pages of their own, which are not looked at.
+    pub split: bool,
+}
+
+/// What was found at one point.
+#[derive(Debug, Clone, Copy)]
+pub struct Deviation<const N: usize> {
+    /// Texel that it lies in.
+    pub texel: usize,
+    /// An unbiased estimate of the squared deviation of each level without noise, mean over the channels (lux2).
+    pub squares: [f64; N],
+    /// Squared noise that filtering leaves of the first level (lux2).
+    pub noise: f64,
+}
+
+/// Pages of one density, and texels of the finest per texel of theirs, along a side.
+pub type Level<'a> = (&'a [LightmapPage], u32);
+
+impl GridPoints<'_> {
+    /// Deviations of `levels` at `count` points, evenly spread by weight.
+    pub fn deviations<const N: usize>(&self, levels: &[Level; N], count: usize) -> Vec<Deviation<N>> {
+        let mut random = Stream::new(hash_mix(self.seed, GRID));
+        let drawn = self.weights.spread(count, f64::from(random.unit()));
+        let of = |sampler: &mut TexelSampler, (j, &texel): (usize, &usize)| {
+            let key = hash_mix(hash_mix(self.seed, GRID + 1), j as u64);
+            self.deviation(texel, levels, sampler, &mut Stream::new(key))
+        };
+        drawn.par_iter().enumerate().map_init(TexelSampler::default, of).flatten().collect()
+    }
+
+    fn deviation<const N: usize>(
+        &self,
+        texel: usize,
+        levels: &[Level; N],
+        sampler: &mut TexelSampler,
+        stream: &mut Stream,
+    ) -> Option<Deviation<N>> {
+        let texels = self.light.texels;
+        if self.weights.weight[texel] <= 0.0 || (self.split && texels.texels[texel].back) {
+            return None;
+        }
+        sampler.load(texels, texel);
+        let mut rays = 0;
+        let mut draw = || {
+            let u = Vec2::new(stream.unit(), stream.unit());
+            self.light.point(texel, sampler, u, &mut rays)
+        };
+        let at = (0..DRAWS).find_map(|_| draw())?;
+        let place = texels.on_page(at.triangle, at.uv)?;
+        let (page, x, y) = texels.page_position(texel);
+        let offset =
+            (place - DVec2::new(f64::from(x), f64::from(y)) - 0.5).clamp(DVec2::splat(-0.5), DVec2::splat(0.5));
+        let smooth = [&self.smooth.odd, &self.smooth.even].map(|half| self.within(half, texel, offset.as_vec2()));
+        let edged = [0, 1].map(|_| self.edged(at, stream));
+        let truth = [smooth[0] + edged[0], smooth[1] + edged[1]];
+        let filtered = levels.map(|(pages, step)| bilinear(&pages[page], place / f64::from(step)));
+        let square = |[mean, difference]: [Vec3; 2]| {
+            let [odd, even] = [mean + difference - truth[0], mean - difference - truth[1]];
+            f64::from(odd.dot(even)) / 3.0
+        };
+        let noise = f64::from(filtered[0][1].length_squared()) / 3.0;
+        Some(Deviation { texel, squares: filtered.map(square), noise })
+    }
+
+    /// One sample of the light that may have edges at a point.
+    fn edged(&self, at: Receiver, stream: &mut Stream) -> Vec3 {
+        let light = self.light.any_light(at, stream, &mut 0);
+        if self.smooth_direct { light.stored - light.soft } else { light.stored }
+    }
+
+    /// Light inside a texel, `offset` texels from its middle, where the texels of its chart around it are means of a
+    /// quadratic; a plane where one is missing.
+    fn within(&self, half: &[Vec3], texel: usize, offset: Vec2) -> Vec3 {
+        let beside = |right: i32, down: i32| {
+            let id = self.light.texels.beside(texel, [right, down])?;
+            self.weights.stored[id].then(|| half[id])
+        };
+        let own = half[texel];
+        let along = |t: f32, before: Option<Vec3>, after: Option<Vec3>| match (before, after) {
+            (Some(a), Some(b)) => {
+                let bend = a + b - 2.0 * own;
+                (b - a) * (0.5 * t) + bend * (0.5 * t * t - 1.0 / 24.0)
+            }
+            (Some(a), None) => (own - a) * t,
+            (None, Some(b)) => (b - own) * t,
+            (None, None) => Vec3::ZERO,
+        };
+        let (left, right, up, down) = (beside(-1, 0), beside(1, 0), beside(0, -1), beside(0, 1));
+        let (mut twist, mut corners) = (Vec3::ZERO, 0.0);
+        for (sign, dx, dy, x, y) in
+            [(1.0, -1, -1, left, up), (-1.0, 1, -1, right, up), (-1.0, -1, 1, left, down), (1.0, 1, 1, right, down)]
+        {
+            if let (Some(x), Some(y), Some(corner)) = (x, y, beside(dx, dy)) {
+                twist += sign * (corner - x - y + own);
+                corners += 1.0;
+            }
+        }
+        let twist = if corners > 0.0 { twist * (offset.x * offset.y / corners) } else { Vec3::ZERO };
+        own + along(offset.x, left, right) + along(offset.y, up, down) + twist
+    }
+}
+
+/// Irradiance and half the difference of its halves as a filter shows them at `place` of a page [texels], which repeats
+/// its border.
+fn bilinear(page: &LightmapPage, place: DVec2) -> [Vec3; 2] {
+    let from = place - 0.5;
+    let (corner, t) = (from.floor(), (from - from.floor()).as_vec2());
+    let (mut mean, mut difference) = (Vec3::ZERO, Vec3::ZERO);
+    for (dx, wx) in [(0, 1.0 - t.x), (1, t.x)] {
+        for (dy, wy) in [(0, 1.0 - t.y), (1, t.y)] {
+            let x = (corner.x as i64 + dx).clamp(0, i64::from(page.width) - 1) as usize;
+            let y = (corner.y as i64 + dy).clamp(0, i64::from(page.height) - 1) as usize;
+            let i = y * page.width as usize + x;
+            mean += Vec3::from(page.irradiance[i]) * (wx * wy);
+            difference += Vec3::from(page.half_difference[i]) * (wx * wy);
+        }
+    }
+    [mean, difference]
+}
+
+/// Error of what filtering shows. Percent of the mean irradiance.
+#[derive(Debug, Clone, Copy, Default, PartialEq)]
+pub struct Shown {
+    /// RMS of filtering texels without noise against the irradiance inside them.
+    pub grid: f64,
+    /// What could not be told from none: the root of the standard error of its square.
+    pub resolution: f64,
+    /// All together: that, the noise that filtering leaves, and what else is wrong with the texels.
+    pub percent: f64,
+}
+
+/// Error of what filtering shows of `pages`, whose texels are stated to err by `error`.
+pub fn shown_error(points: &GridPoints, pages: &[LightmapPage], error: &TexelError) -> Shown {
+    if error.mean <= 0.0 {
+        return Shown::default();
+    }
+    let count = (POINTS_PER_TEXEL * points.weights.weight.len()).min(MOST_POINTS);
+    let (mut square, mut noise) = (Moments::default(), Moments::default());
+    for d in points.deviations(&[(pages, 1)], count) {
+        square.add(d.squares[0] / error.mean.powi(2));
+        noise.add(d.noise / error.mean.powi(2));
+    }
+    let grid = square.percent(0.0);
+    let others = (error.percent.powi(2) - error.sigma.powi(2)).max(0.0);
+    Shown {
+        grid,
+        resolution: 100.0 * square.deviation().sqrt(),
+        percent: (grid.powi(2) + noise.percent(0.0).powi(2) + others).sqrt(),
+    }
+}
