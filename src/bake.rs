@@ -2,16 +2,16 @@
 
 use crate::accel::{Accel, coincident_warning, part_coincident};
 use crate::accuracy::TexelWeights;
-use crate::atlas::{self, Atlas, Texels};
-use crate::cell::SurfaceTree;
+use crate::atlas::{self, Atlas, Texels, Unwrapping};
 use crate::error::{BakeError, Warning};
-use crate::light::{COVER, Emitters, LightSettings, Lighting, Visibility, open_shares, shown_texels};
+use crate::light::{Emitters, LightSettings, Lighting, Visibility};
 use crate::lightmap::{GridPoints, Lightmap, shown_error};
 use crate::observer::{Observer, Stage};
-use crate::options::{BakeOptions, DoubleSided, Lights, Normals, TexelValue};
+use crate::options::{BakeOptions, Lights, UvSource};
+use crate::pilot::adapt_density;
 use crate::report::{AtlasSummary, Energy, Report, Seconds, Split, Work};
 use crate::scene::{Scene, SurfaceFlags, World};
-use crate::solve::{LightPath, Solution, solve};
+use crate::solve::{Solution, Surface, solve};
 use std::time::Instant;
 
 /// A finished bake.
@@ -56,63 +56,56 @@ fn bake_here<'s>(scene: &'s Scene, options: &BakeOptions, observer: &mut dyn Obs
     let lighting = Lighting::new(scene, options)?;
 
     observer.stage(Stage::Unwrap);
-    let atlas = atlas::build(scene, options, &|| observer.cancelled())?;
+    let generates = options.uv == UvSource::Generate;
+    let mut unwrapping =
+        if generates { Some(Unwrapping::new(scene, options, &|| observer.cancelled())?) } else { None };
     seconds.atlas = clock.lap();
 
-    let go_on = |observer: &dyn Observer| if observer.cancelled() { Err(BakeError::Cancelled) } else { Ok(()) };
     observer.stage(Stage::Prepare);
     let mut world = World::new(scene);
-    atlas::check_memory(&world, &atlas, options.memory_limit)?;
     let parted = part_coincident(&mut world);
-    let texels = Texels::new(&world, &atlas);
-    seconds.texels = clock.lap();
-    go_on(observer)?;
     let accel = Accel::build(&world.positions, |t| world.flags[t as usize].has(SurfaceFlags::UNSEEN));
     seconds.accel = clock.lap();
-    go_on(observer)?;
     let visibility = Visibility::new(&world, &accel);
     let emitters =
         Emitters::new(&world, &lighting, LightSettings { indirect_only: options.lights == Lights::Indirect });
-    let (open, probe_rays) = open_shares(&texels, &visibility, options.seed);
-    let shown = shown_texels(&texels, &visibility, &open);
+    let mut laid_out = options.clone();
+    if let Some(unwrapping) = unwrapping.as_mut().filter(|_| options.adapts_density()) {
+        observer.stage(Stage::Pilot);
+        laid_out.density = adapt_density(unwrapping, &visibility, &emitters, options, observer)?;
+        seconds.pilot = clock.lap();
+    }
+    let cancelled = || observer.cancelled();
+    let atlas = match &unwrapping {
+        Some(unwrapping) => unwrapping.lay_out(&laid_out, &cancelled)?,
+        None => atlas::build(scene, options, &cancelled)?,
+    };
+    drop(unwrapping);
+    atlas::check_memory(&world, &atlas, options.memory_limit)?;
+    seconds.atlas += clock.lap();
+    let go_on = |observer: &dyn Observer| if observer.cancelled() { Err(BakeError::Cancelled) } else { Ok(()) };
+    let texels = Texels::new(&world, &atlas);
+    seconds.texels = clock.lap();
+    go_on(observer)?;
+    let surface = Surface::new(texels, &atlas, &visibility, options);
     seconds.open = clock.lap();
     go_on(observer)?;
 
     observer.stage(Stage::Light);
-    let weights = match options.texel_value {
-        TexelValue::Open => TexelWeights::new(&world, &texels, &open),
-        TexelValue::Mean => TexelWeights::new(&world, &texels, &vec![1.0; texels.mapped]),
-    };
-    let tree = SurfaceTree::new(&texels, &open, &visibility);
-    let pitch = 1.0 / (atlas.texels_per_metre * world.frame.metres);
-    let path = LightPath {
-        texels: &texels,
-        open: &open,
-        shown: &shown,
-        tree: &tree,
-        crevice: pitch as f32 * COVER,
-        emitters: &emitters,
-        visibility: &visibility,
-    };
+    let path = surface.path(&emitters, &visibility);
+    let weights = TexelWeights::of_values(&world, &surface.texels, &surface.open, options.texel_value);
     let solution = solve(path, weights, options, clock.began, observer)?;
     [seconds.direct, seconds.photons, seconds.estimate, seconds.audit] = solution.seconds;
     seconds.rounds = solution.rounds.clone();
     clock.lap();
 
     observer.stage(Stage::Finish);
-    let lightmap = Lightmap::new(&world, &atlas, &texels, &shown, &solution, options);
-    let points = GridPoints {
-        seed: options.seed,
-        light: path.light(options.normals == Normals::Smooth),
-        weights: &solution.weights,
-        smooth: &solution.smooth,
-        smooth_direct: solution.smooth_direct,
-        split: options.double_sided == DoubleSided::Split,
-    };
-    let on_screen = shown_error(&points, &lightmap.pages, &solution.error);
+    let lightmap = Lightmap::new(&world, &atlas, &surface.texels, &surface.shown, &solution, options);
+    let on_screen = shown_error(&GridPoints::new(&path, &solution, options), &lightmap.pages, &solution.error);
+    let Surface { texels, open, probe_rays, .. } = surface;
     let mut report = report(&world, &atlas, &texels, &open, &solution, &lighting, options);
-    report.warnings.extend(coincident_warning(&world, &parted));
     report.set_shown(&on_screen);
+    report.warnings.extend(coincident_warning(&world, &parted));
     (report.work.emissive_triangles, report.work.lights) = emitters.counts();
     report.work.probe_rays = probe_rays;
     if emitters.is_empty() {
@@ -159,6 +152,7 @@ fn report(
         quantity: options.quantity,
         target_percent: options.target_percent,
         target_mesh_percent: options.mesh_target(),
+        target_shown_percent: options.target_shown_percent,
         target_met: solution.limit.is_none(),
         limit: solution.limit,
         sigma: 0.0,

@@ -46,6 +46,7 @@ pub mod photon;
 pub mod cell;
 pub mod accuracy;
 pub mod solve;
+pub mod pilot;
 pub mod lightmap;
 pub mod output;
 

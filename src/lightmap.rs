@@ -3,7 +3,7 @@
 mod grid;
 mod gutter;
 
-pub use grid::{Deviation, GridPoints, Shown, shown_error};
+pub use grid::{Deviation, GridPoints, Shown, coarser, shown_error};
 pub use gutter::fill_gutters;
 
 /// The finished lightmaps, one per atlas page.

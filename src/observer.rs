@@ -9,6 +9,8 @@ pub enum Stage {
     Unwrap,
     /// Clipping triangles against texels, building the hierarchy.
     Prepare,
+    /// Looking where texels are needed.
+    Pilot,
     /// Direct light and photons.
     Light,
     /// Checking the stated error by path tracing.

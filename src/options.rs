@@ -11,6 +11,9 @@ pub struct BakeOptions {
     pub target_percent: f64,
     /// Target per mesh, which 95 % of the meshes must meet. Unit: percent. Default: 3 times `target_percent`.
     pub target_mesh_percent: Option<f64>,
+    /// What filtering may show, noise and texel grid together: with no more texels than that takes. Unit: percent. Default:
+    /// none.
+    pub target_shown_percent: Option<f64>,
     /// End after this time with what is there. Half of it is for the lightmap UVs: what is not unwrapped by then is
     /// flattened plane by plane, in more charts, so that light is traced in any case. Unit: seconds. Default: none.
     pub time_limit: Option<f64>,
@@ -67,6 +70,7 @@ impl Default for BakeOptions {
         BakeOptions {
             target_percent: 2.0,
             target_mesh_percent: None,
+            target_shown_percent: None,
             time_limit: None,
             max_photons: None,
             memory_limit: 4 << 30,
@@ -98,8 +102,11 @@ impl Default for BakeOptions {
 /// Texel density.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Density {
-    /// The highest at which everything fits on one page of `max_texture` squared.
+    /// Where light needs them, as a pilot finds: on one page of `max_texture` squared, or less where that makes little
+    /// difference.
     Auto,
+    /// The same everywhere, the highest at which everything fits on one page of `max_texture` squared.
+    Even,
     /// Texels per metre, on as many pages as that takes (`max_pages` at most).
     TexelsPerMetre(f64),
 }
@@ -221,6 +228,11 @@ impl BakeOptions {
         self.target_mesh_percent.unwrap_or(3.0 * self.target_percent)
     }
 
+    /// Whether a pilot says where texels go.
+    pub fn adapts_density(&self) -> bool {
+        self.density == Density::Auto && self.uv == UvSource::Generate
+    }
+
     /// Checks ranges and contradictions.
     ///
     /// # Errors
@@ -232,6 +244,14 @@ impl BakeOptions {
         };
         percent("--target-percent", self.target_percent)?;
         self.target_mesh_percent.map_or(Ok(()), |v| percent("--target-mesh-percent", v))?;
+        self.target_shown_percent.map_or(Ok(()), |v| percent("--target-shown-percent", v))?;
+        if self.target_shown_percent.is_some_and(|shown| shown <= self.target_percent) {
+            return fail(format!(
+                "--target-shown-percent {}: must be above --target-percent {}, which is a part of it",
+                self.target_shown_percent.unwrap_or_default(),
+                self.target_percent
+            ));
+        }
         self.time_limit.map_or(Ok(()), |v| percent("--time-limit", v))?;
         if !(1..=MAX_TEXTURE).contains(&self.max_texture) {
             return fail(format!("--max-texture {}: must lie in 1 to {MAX_TEXTURE}", self.max_texture));

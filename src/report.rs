@@ -22,9 +22,11 @@ pub struct Report {
     pub target_percent: f64,
     /// Asked for: error per mesh that 95 % of the meshes must meet.
     pub target_mesh_percent: f64,
-    /// Both targets are met.
+    /// Asked for: what filtering may show.
+    pub target_shown_percent: Option<f64>,
+    /// All targets are met.
     pub target_met: bool,
-    /// What ended the bake where a target is not met: `time-limit`, `max-photons`, `samples`.
+    /// What ended the bake where a target is not met: `time-limit`, `max-photons`, `samples`, `texels`.
     pub limit: Option<&'static str>,
     /// Noise of the stored mean: sqrt( sum a (E_odd - E_even)^2 / (4 sum a) ) over the mean.
     pub sigma: f64,
@@ -207,6 +209,8 @@ pub struct AtlasSummary {
 pub struct Seconds {
     /// Cutting, flattening, packing.
     pub atlas: f64,
+    /// Finding out where texels are needed.
+    pub pilot: f64,
     /// Clipping triangles against texels.
     pub texels: f64,
     /// Building the hierarchy.
@@ -265,6 +269,11 @@ impl Report {
 
     /// Copies what filtering shows into the report's keys.
     pub fn set_shown(&mut self, shown: &Shown) {
+        let missed = self.target_shown_percent.is_some_and(|target| shown.percent > target);
+        if missed && self.limit.is_none() {
+            self.target_met = false;
+            self.limit = Some("texels");
+        }
         self.texel_grid_error = shown.grid;
         self.texel_grid_resolution = shown.resolution;
         self.shown_error_percent = shown.percent;

@@ -5,7 +5,7 @@
 //! stored, X, with all that the halves cannot show. No photons, cells or caches take part; geometry, materials,
 //! emitters and the open shares of texels are the ones that the map was made with.
 
-use super::estimate::{Halves, TexelError, TexelWeights, Unseen};
+use super::estimate::{Halves, TexelError, TexelWeights, Unseen, spread};
 use super::interval::{Moments, TWO_SIDED_95};
 use crate::accel::{Ray, offset_origin};
 use crate::atlas::TexelSampler;
@@ -131,7 +131,7 @@ impl Auditor<'_> {
     /// said no.
     pub fn run(&self, effort: Effort, stated: &TexelError, target: f64, go_on: &dyn Fn() -> bool) -> Option<Audit> {
         let mean = stated.mean;
-        let draw = |n: usize, moved: f64| self.weights.spread(n, moved);
+        let draw = |n: usize, moved: f64| spread(&self.weights.weight, n, moved);
         let mut random = Stream::new(hash_mix(self.seed, AUDIT));
 
         let pilot = self.estimates(&draw(PILOT_TEXELS, f64::from(random.unit())), PILOT_PATHS, 1, go_on)?;

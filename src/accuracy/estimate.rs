@@ -3,6 +3,7 @@
 use super::interval::{TWO_SIDED_95, chi_square_quantile};
 use super::plan::SMOOTH_FALL;
 use crate::atlas::Texels;
+use crate::options::TexelValue;
 use crate::cell::{Bias, Node, SurfaceTree};
 use crate::scene::World;
 use glam::Vec3;
@@ -62,20 +63,13 @@ impl TexelWeights {
         let stored = open.iter().map(|&o| o > 0.0).collect();
         TexelWeights { weight, instance, stored }
     }
-}
 
-impl TexelWeights {
-    /// `n` texels, evenly spread over all weight in their order, moved by `moved` of the way from one to the next, in
-    /// [0, 1).
-    pub fn spread(&self, n: usize, moved: f64) -> Vec<usize> {
-        let sum = |sum: &mut f64, w: &f64| {
-            *sum += w;
-            Some(*sum)
-        };
-        let cumulative: Vec<f64> = self.weight.iter().scan(0.0, sum).collect();
-        let total = cumulative.last().copied().unwrap_or(0.0);
-        let pick = |j: usize| cumulative.partition_point(|c| *c <= (j as f64 + moved) / n as f64 * total);
-        (0..n).map(|j| pick(j).min(cumulative.len().saturating_sub(1))).collect()
+    /// Weights of texels that hold `value`.
+    pub fn of_values(world: &World, texels: &Texels, open: &[f32], value: TexelValue) -> TexelWeights {
+        match value {
+            TexelValue::Open => TexelWeights::new(world, texels, open),
+            TexelValue::Mean => TexelWeights::new(world, texels, &vec![1.0; texels.mapped]),
+        }
     }
 
     /// Leaves a texel out of the maps and of all figures.
@@ -83,6 +77,19 @@ impl TexelWeights {
         self.weight[texel] = 0.0;
         self.stored[texel] = false;
     }
+}
+
+/// `n` texels, evenly spread over all of their `weights` in order, moved by `moved` of the way from one to the next, in
+/// [0, 1).
+pub fn spread(weights: &[f64], n: usize, moved: f64) -> Vec<usize> {
+    let sum = |sum: &mut f64, w: &f64| {
+        *sum += w;
+        Some(*sum)
+    };
+    let cumulative: Vec<f64> = weights.iter().scan(0.0, sum).collect();
+    let total = cumulative.last().copied().unwrap_or(0.0);
+    let pick = |j: usize| cumulative.partition_point(|c| *c <= (j as f64 + moved) / n as f64 * total);
+    (0..n).map(|j| pick(j).min(cumulative.len().saturating_sub(1))).collect()
 }
 
 /// The error of the map, in percent of its mean irradiance, all channels together.

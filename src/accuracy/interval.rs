@@ -70,6 +70,23 @@ impl Moments {
         self.squares += x * x;
     }
 
+    /// All the values of another.
+    pub fn append(&mut self, other: &Moments) {
+        self.n += other.n;
+        self.sum += other.sum;
+        self.squares += other.squares;
+    }
+
+    /// Number of values.
+    pub fn count(&self) -> f64 {
+        self.n
+    }
+
+    /// Sum of their squares.
+    pub fn squares(&self) -> f64 {
+        self.squares
+    }
+
     /// Mean of the values; 0 without any.
     pub fn mean(&self) -> f64 {
         self.sum / self.n.max(1.0)
@@ -82,8 +99,12 @@ impl Moments {
 
     /// Standard error of the mean.
     pub fn deviation(&self) -> f64 {
-        let scatter = (self.squares - self.sum * self.mean()).max(0.0) / (self.n - 1.0).max(1.0);
-        (scatter / self.n.max(1.0)).sqrt()
+        (self.variance() / self.n.max(1.0)).sqrt()
+    }
+
+    /// Variance of the values.
+    pub fn variance(&self) -> f64 {
+        (self.squares - self.sum * self.mean()).max(0.0) / (self.n - 1.0).max(1.0)
     }
 }
 

@@ -9,11 +9,13 @@
 //! this; it is reported beside as `sigma_paper`.
 
 mod audit;
+mod density;
 mod estimate;
 mod interval;
 mod plan;
 
 pub use audit::{Audit, Auditor, Effort, Verdict};
-pub use estimate::{Halves, Known, MeshError, TexelError, TexelWeights, Unseen, mesh_errors, texel_error};
+pub use density::{DensityGoal, GridFall, chart_densities};
+pub use estimate::{Halves, Known, MeshError, TexelError, TexelWeights, Unseen, mesh_errors, spread, texel_error};
 pub use interval::{Moments, TWO_SIDED_95, chi_square_quantile, normal_quantile};
 pub use plan::{GATHER_AGAIN, MeshPlan, Missed, Spent, cheapest_growth, gather_rays, plan_meshes};

@@ -20,8 +20,10 @@ pub(super) struct Unit {
     pub name: String,
     /// Its charts [m].
     pub charts: Vec<Chart>,
-    /// Factor on the density.
+    /// Factor on the density of all of them.
     pub density: f64,
+    /// Factor on that of each, besides.
+    pub factors: Vec<f64>,
     /// Empty: the charts go straight into the atlas, all on one page. Else one rectangle per entry holds the
     /// mesh's layout, scaled by the entry, in (0, 1] with 1 among them.
     pub instances: Vec<f64>,
@@ -117,7 +119,7 @@ pub(super) fn lay_out(
     let late = || deadline.is_some_and(|d| Instant::now() >= d);
     let packer = Packer { units, exact: exact_charts(units), gutter: options.gutter.div_ceil(2) };
     let side = options.max_texture;
-    let area = |u: &Unit| u.charts.iter().map(|c| c.area).sum();
+    let area = |u: &Unit| u.charts.iter().zip(&u.factors).map(|(c, f)| c.area * f * f).sum();
     let full = full_density(units.iter().map(|u| (u, area(u))), side);
     let room = packer.most_charts(side);
     if let Some(u) = units.iter().position(|u| u.charts.len() as u64 > room) {
@@ -132,7 +134,7 @@ pub(super) fn lay_out(
             let one = small.chain([side]).find_map(|s| try_pages(density, s, 1).ok());
             one.map_or_else(|| try_pages(density, side, options.max_pages), Ok)
         }
-        Density::Auto => (1..=options.max_pages)
+        Density::Auto | Density::Even => (1..=options.max_pages)
             .find_map(|pages| {
                 let full = full * f64::from(pages).sqrt();
                 search(full, &late, &|density| try_pages(density, side, pages).ok())
@@ -237,7 +239,7 @@ fn exact_charts(units: &[Unit]) -> Vec<Vec<bool>> {
     let mut exact: Vec<Vec<bool>> = units.iter().map(|u| vec![false; u.charts.len()]).collect();
     for (u, unit) in units.iter().enumerate() {
         for (c, chart) in unit.charts.iter().enumerate().filter(|(_, c)| c.fill() < NEARLY_FULL) {
-            order.push((chart.size.x * chart.size.y * unit.density * unit.density, u, c));
+            order.push((chart.size.x * chart.size.y * (unit.density * unit.factors[c]).powi(2), u, c));
         }
     }
     order.sort_by(|a, b| b.0.total_cmp(&a.0).then((a.1, a.2).cmp(&(b.1, b.2))));
@@ -366,9 +368,10 @@ impl Packer<'_> {
         self.units[u]
             .charts
             .par_iter()
+            .zip(&self.units[u].factors)
             .zip(&self.exact[u])
-            .map(|(chart, &exact)| {
-                let texels = chart.texels(density).map(|n| n.min(inner));
+            .map(|((chart, factor), &exact)| {
+                let texels = chart.texels(density * factor).map(|n| n.min(inner));
                 let [w, h] = texels.map(|n| (n + 2 * gutter).div_ceil(cell));
                 let turns = if exact {
                     let mask = chart.footprint(texels).dilated(gutter).coarse(cell);

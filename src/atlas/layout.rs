@@ -34,11 +34,12 @@ const LEAST_INSTANCE: f64 = 0.125;
 /// surface is left to bake, [`BakeError::Uv`] where the file's lightmap UVs are kept and cannot be used,
 /// [`BakeError::Limit`] where the pages do not suffice, and [`BakeError::Cancelled`].
 pub fn build(scene: &Scene, options: &BakeOptions, cancelled: &(dyn Fn() -> bool + Sync)) -> Result<Atlas, BakeError> {
-    check_options(options)?;
-    let baked = baked_instances(scene, options)?;
     match options.uv {
-        UvSource::Keep => keep::keep(scene, options, &baked),
-        UvSource::Generate => generate(scene, options, &baked, cancelled),
+        UvSource::Keep => {
+            check_options(options)?;
+            keep::keep(scene, options, &baked_instances(scene, options)?)
+        }
+        UvSource::Generate => Unwrapping::new(scene, options, cancelled)?.lay_out(options, cancelled),
     }
 }
 
@@ -65,76 +66,115 @@ fn check_options(options: &BakeOptions) -> Result<(), BakeError> {
 }
 
 /// A mesh with the baked instances that share its UVs.
+#[derive(Debug)]
 struct Shared {
     mesh: usize,
     instances: Vec<usize>,
 }
 
-fn generate(
-    scene: &Scene,
-    options: &BakeOptions,
-    baked: &[bool],
-    cancelled: &(dyn Fn() -> bool + Sync),
-) -> Result<Atlas, BakeError> {
-    // Half of the time belongs to the light.
-    let deadline =
-        options.time_limit.and_then(|s| Instant::now().checked_add(Duration::try_from_secs_f64(0.5 * s).ok()?));
-    let mut warnings = Vec::new();
-    let densities = instance_densities(scene, baked, &mut warnings);
-    let mut shared: Vec<Shared> = Vec::new();
-    let mut of_mesh: Vec<Option<usize>> = vec![None; scene.meshes.len()];
-    for (i, instance) in scene.instances.iter().enumerate().filter(|(i, _)| baked[*i]) {
-        let s = *of_mesh[instance.mesh].get_or_insert_with(|| {
-            shared.push(Shared { mesh: instance.mesh, instances: Vec::new() });
-            shared.len() - 1
-        });
-        shared[s].instances.push(i);
-    }
-    let mut units: Vec<Unit> = shared.iter().map(|s| unit(scene, s, &densities)).collect();
-    let joined = joined_meshes(scene, &shared, &units, options);
-    let unwrapped = unwrap_all(&joined, options, deadline, cancelled)?;
-    let mut meshes = Vec::with_capacity(shared.len());
-    for (unit, (unwrapped, found)) in units.iter_mut().zip(unwrapped) {
-        warnings.extend(found);
-        unit.charts = charts_of(&unwrapped);
-        meshes.push(unwrapped);
-    }
-    if units.iter().all(|u| u.charts.is_empty()) {
-        return Err(BakeError::Nothing(format!(
-            "{}: no triangle of the nodes to bake has an area; check the scales of the nodes",
-            scene.name
-        )));
-    }
-    let layout = lay_out(&units, options, deadline, cancelled)?;
-    warn_of_scaling(&units, &layout, &mut warnings);
-    let mut atlas = Atlas {
-        pages: layout.pages.clone(),
-        meshes: vec![None; scene.meshes.len()],
-        placements: vec![None; scene.instances.len()],
-        texels_per_metre: layout.density,
-        gutter: options.gutter,
-        warnings,
-        ..Atlas::default()
-    };
-    for (((s, unit), placed), unwrapped) in shared.iter().zip(&units).zip(&layout.units).zip(&meshes) {
-        let size = if unit.instances.is_empty() {
-            let page = layout.pages[placed.page as usize];
-            [page.width, page.height]
-        } else {
-            placed.size
-        };
-        let uvs = uvs(unwrapped, unit, placed, size);
-        atlas.meshes[s.mesh] = Some(mesh_layout(&scene.meshes[s.mesh], unwrapped, &uvs));
-        for (k, &i) in s.instances.iter().enumerate() {
-            let vec2 = |v: [u32; 2]| Vec2::new(v[0] as f32, v[1] as f32);
-            atlas.placements[i] = Some(match placed.rectangles.get(k) {
-                None => Placement { page: placed.page, origin: Vec2::ZERO, size: vec2(size) },
-                Some(r) => Placement { page: r.page, origin: vec2(r.origin), size: vec2(r.size) },
+/// The meshes of a scene cut and flattened: charts without places yet.
+#[derive(Debug)]
+pub struct Unwrapping<'s> {
+    scene: &'s Scene,
+    shared: Vec<Shared>,
+    pub(super) units: Vec<Unit>,
+    meshes: Vec<Unwrapped>,
+    warnings: Vec<Warning>,
+    deadline: Option<Instant>,
+}
+
+impl<'s> Unwrapping<'s> {
+    /// Cuts and flattens what is to be baked; as [`build`], which says what may fail.
+    ///
+    /// # Errors
+    /// Those of [`build`].
+    pub fn new(
+        scene: &'s Scene,
+        options: &BakeOptions,
+        cancelled: &(dyn Fn() -> bool + Sync),
+    ) -> Result<Unwrapping<'s>, BakeError> {
+        check_options(options)?;
+        let baked = baked_instances(scene, options)?;
+        // Half of the time belongs to the light.
+        let deadline =
+            options.time_limit.and_then(|s| Instant::now().checked_add(Duration::try_from_secs_f64(0.5 * s).ok()?));
+        let mut warnings = Vec::new();
+        let densities = instance_densities(scene, &baked, &mut warnings);
+        let mut shared: Vec<Shared> = Vec::new();
+        let mut of_mesh: Vec<Option<usize>> = vec![None; scene.meshes.len()];
+        for (i, instance) in scene.instances.iter().enumerate().filter(|(i, _)| baked[*i]) {
+            let s = *of_mesh[instance.mesh].get_or_insert_with(|| {
+                shared.push(Shared { mesh: instance.mesh, instances: Vec::new() });
+                shared.len() - 1
             });
+            shared[s].instances.push(i);
         }
+        let mut units: Vec<Unit> = shared.iter().map(|s| unit(scene, s, &densities)).collect();
+        let joined = joined_meshes(scene, &shared, &units, options);
+        let unwrapped = unwrap_all(&joined, options, deadline, cancelled)?;
+        let mut meshes = Vec::with_capacity(shared.len());
+        for (unit, (unwrapped, found)) in units.iter_mut().zip(unwrapped) {
+            warnings.extend(found);
+            unit.charts = charts_of(&unwrapped);
+            unit.factors = vec![1.0; unit.charts.len()];
+            meshes.push(unwrapped);
+        }
+        if units.iter().all(|u| u.charts.is_empty()) {
+            return Err(BakeError::Nothing(format!(
+                "{}: no triangle of the nodes to bake has an area; check the scales of the nodes",
+                scene.name
+            )));
+        }
+        Ok(Unwrapping { scene, shared, units, meshes, warnings, deadline })
     }
-    atlas.first_chart = first_charts(scene, &atlas);
-    Ok(atlas)
+
+    /// Gives every chart its place, as `options` ask (`density`, `max_texture`, `max_pages`, `gutter`).
+    ///
+    /// # Errors
+    /// [`BakeError::Limit`] where the pages do not suffice, and [`BakeError::Cancelled`].
+    pub fn lay_out(
+        &self,
+        options: &BakeOptions,
+        cancelled: &(dyn Fn() -> bool + Sync),
+    ) -> Result<Atlas, BakeError> {
+        let Unwrapping { scene, shared, units, meshes, .. } = self;
+        let layout = lay_out(units, options, self.deadline, cancelled)?;
+        let mut warnings = self.warnings.clone();
+        warn_of_scaling(units, &layout, &mut warnings);
+        let mut atlas = Atlas {
+            pages: layout.pages.clone(),
+            meshes: vec![None; scene.meshes.len()],
+            placements: vec![None; scene.instances.len()],
+            texels_per_metre: layout.density,
+            gutter: options.gutter,
+            warnings,
+            ..Atlas::default()
+        };
+        for (((s, unit), placed), unwrapped) in shared.iter().zip(units).zip(&layout.units).zip(meshes) {
+            let size = if unit.instances.is_empty() {
+                let page = layout.pages[placed.page as usize];
+                [page.width, page.height]
+            } else {
+                placed.size
+            };
+            let uvs = uvs(unwrapped, unit, placed, size);
+            atlas.meshes[s.mesh] = Some(mesh_layout(&scene.meshes[s.mesh], unwrapped, &uvs));
+            for (k, &i) in s.instances.iter().enumerate() {
+                let vec2 = |v: [u32; 2]| Vec2::new(v[0] as f32, v[1] as f32);
+                atlas.placements[i] = Some(match placed.rectangles.get(k) {
+                    None => Placement { page: placed.page, origin: Vec2::ZERO, size: vec2(size) },
+                    Some(r) => Placement { page: r.page, origin: vec2(r.origin), size: vec2(r.size) },
+                });
+            }
+        }
+        atlas.first_chart = first_charts(scene, &atlas);
+        Ok(atlas)
+    }
+
+    /// The instances that share each mesh.
+    pub(super) fn instances(&self) -> impl Iterator<Item = &[usize]> {
+        self.shared.iter().map(|s| &*s.instances)
+    }
 }
 
 /// First global chart id of each instance, and the total.
@@ -188,7 +228,7 @@ fn joined_meshes(scene: &Scene, shared: &[Shared], units: &[Unit], options: &Bak
         .collect();
     let density = match options.density {
         Density::TexelsPerMetre(density) => density,
-        Density::Auto => {
+        Density::Auto | Density::Even => {
             let areas: Vec<f64> = meshes.par_iter().map(JoinedMesh::area).collect();
             full_density(units.iter().zip(areas), options.max_texture)
         }
@@ -237,14 +277,15 @@ fn joined(scene: &Scene, mesh: &Mesh, metres: DMat3) -> JoinedMesh {
 fn unit(scene: &Scene, s: &Shared, densities: &[f64]) -> Unit {
     if let [only] = s.instances[..] {
         let name = format!("node {}", scene.instances[only].name);
-        return Unit { name, charts: Vec::new(), density: densities[only], instances: Vec::new() };
+        let density = densities[only];
+        return Unit { name, charts: Vec::new(), density, factors: Vec::new(), instances: Vec::new() };
     }
     let sizes: Vec<f64> = s.instances.iter().map(|&i| scale_of(&scene.instances[i]) * densities[i]).collect();
     let largest = sizes.iter().copied().fold(0.0, f64::max);
     let largest = if largest > 0.0 { largest } else { 1.0 };
     let instances = sizes.iter().map(|s| (s / largest).max(LEAST_INSTANCE)).collect();
     let name = format!("mesh {}", scene.meshes[s.mesh].name);
-    Unit { name, charts: Vec::new(), density: largest / largest_scale(scene, s), instances }
+    Unit { name, charts: Vec::new(), density: largest / largest_scale(scene, s), factors: Vec::new(), instances }
 }
 
 /// Loss of density below which nobody is warned: charts are rounded to whole texels anyway.
@@ -256,8 +297,9 @@ fn warn_of_scaling(units: &[Unit], layout: &Layout, warnings: &mut Vec<Warning>)
         let worst = unit
             .charts
             .iter()
+            .zip(&unit.factors)
             .zip(&placed.charts)
-            .flat_map(|(c, spot)| [0, 1].map(|k| (f64::from(spot.texels[k]) + 1.0) / (c.size[k] * asked)))
+            .flat_map(|((c, f), spot)| [0, 1].map(|k| (f64::from(spot.texels[k]) + 1.0) / (c.size[k] * asked * f)))
             .fold(1.0, f64::min);
         if worst < NOTABLE_LOSS {
             warnings.push(Warning::new(

@@ -15,15 +15,17 @@ mod pieces;
 mod planar;
 mod sampler;
 mod select;
+mod size;
 mod texels;
 mod transport;
 pub mod unwrap;
 mod uvunwrap;
 mod xatlas;
 
-pub use layout::build;
+pub use layout::{Unwrapping, build};
 pub use memory::{check_memory, memory_bytes};
 pub use sampler::TexelSampler;
+pub use size::ChartSize;
 pub use texels::{NO_TEXEL, Piece, Texel, Texels};
 pub use uvunwrap::{Uvunwrap, silence_unwrapper_panics};
 pub use xatlas::{WORKER_COMMAND, XatlasWorker, worker_main};

@@ -61,7 +61,8 @@ pub struct BakeArgs {
     /// ... and until 95 % of the nodes are under this, each relative to its own mean [default: 3 x target].
     #[arg(long, help_heading = "Targets and limits")]
     target_mesh_percent: Option<f64>,
-    /// (not built yet) Bake until what filtering shows is under this.
+    /// Texels until what filtering shows, texel error and texel grid together, is under this [percent of the mean
+    /// irradiance]; no more than that takes, and at most a page.
     #[arg(long, help_heading = "Targets and limits")]
     target_shown_percent: Option<f64>,
     /// End after this many seconds with what is there (exit status 3). Half of them are for the lightmap UVs; what is
@@ -81,7 +82,8 @@ pub struct BakeArgs {
     /// Most pages.
     #[arg(long, default_value_t = 16, help_heading = "Atlas")]
     max_pages: u32,
-    /// `auto`: the highest that fits one page; or texels per metre, on as many pages as that takes.
+    /// `auto`: more where light changes quickly, as a short pilot finds, on one page at most; `even`: the same
+    /// everywhere, the highest that fits one page; or texels per metre, on as many pages as that takes.
     #[arg(long, default_value = "auto", help_heading = "Atlas")]
     density: String,
     /// Empty texels around each chart.
@@ -184,6 +186,7 @@ impl BakeArgs {
         let options = BakeOptions {
             target_percent: self.target_percent,
             target_mesh_percent: self.target_mesh_percent,
+            target_shown_percent: self.target_shown_percent,
             time_limit: self.time_limit,
             max_photons: self.max_photons.map(photons).transpose()?,
             memory_limit: self.memory_limit.saturating_mul(1 << 20),
@@ -233,7 +236,6 @@ impl BakeArgs {
     /// A flag that would do nothing is an error, never ignored.
     fn refuse_what_is_not_built(&self) -> Result<(), BakeError> {
         let asked = [
-            (self.target_shown_percent.is_some(), "--target-shown-percent"),
             (self.texel_value == "fit", "--texel-value fit"),
             (self.cache.is_some(), "--cache"),
             (self.resume, "--resume"),
@@ -258,12 +260,13 @@ impl BakeArgs {
 }
 
 fn density(text: &str) -> Result<Density, BakeError> {
-    if text == "auto" {
-        return Ok(Density::Auto);
+    match text {
+        "auto" => Ok(Density::Auto),
+        "even" => Ok(Density::Even),
+        _ => text.parse().map(Density::TexelsPerMetre).map_err(|_| {
+            BakeError::Options(format!("--density {text}: takes `auto`, `even` or texels per metre, such as 32"))
+        }),
     }
-    text.parse()
-        .map(Density::TexelsPerMetre)
-        .map_err(|_| BakeError::Options(format!("--density {text}: takes `auto` or texels per metre, such as 32")))
 }
 
 fn photons(most: f64) -> Result<u64, BakeError> {

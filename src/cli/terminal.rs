@@ -59,6 +59,7 @@ impl Observer for Terminal {
         let text = match stage {
             Stage::Unwrap => "unwrapping",
             Stage::Prepare => "preparing texels and rays",
+            Stage::Pilot => "looking where texels are needed",
             Stage::Light => "tracing light",
             Stage::Audit => "checking the error by path tracing",
             Stage::Finish => "making maps",

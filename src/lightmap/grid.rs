@@ -6,17 +6,24 @@
 //! is that of (B - E)^2 for texels without noise: the squared discretisation error of the founding paper (Voloboy
 //! et al., "Analysis of accuracy of global illumination simulation").
 
-use super::LightmapPage;
-use crate::accuracy::{Halves, Moments, TexelError, TexelWeights};
+use super::{LightmapPage, fill_gutters};
+use crate::accuracy::{Halves, Moments, TexelError, TexelWeights, spread};
 use crate::atlas::TexelSampler;
 use crate::light::{Receiver, TexelLight};
+use crate::options::{BakeOptions, DoubleSided, Normals};
 use crate::sampling::{Stream, hash_mix};
+use crate::solve::{LightPath, Solution};
 use glam::{DVec2, Vec2, Vec3};
 use rayon::prelude::*;
 
 /// Points: so many for each texel, but no more than these in all.
 const POINTS_PER_TEXEL: usize = 8;
 const MOST_POINTS: usize = 1 << 17;
+
+/// When points are spread: squared contrast that a texel is taken to have besides that with the texels around, in parts of
+/// its own squared light, and of the mean over all.
+const OWN_SHARE: f32 = 0.1;
+const EVEN_SHARE: f64 = 0.3;
 
 /// A point that is covered is drawn anew so many times at most.
 const DRAWS: usize = 4;
@@ -46,25 +53,65 @@ pub struct GridPoints<'a> {
 pub struct Deviation<const N: usize> {
     /// Texel that it lies in.
     pub texel: usize,
-    /// An unbiased estimate of the squared deviation of each level without noise, mean over the channels (lux2).
+    /// An unbiased estimate of the squared deviation of each level without noise, mean over the channels (lux2), ...
     pub squares: [f64; N],
-    /// Squared noise that filtering leaves of the first level (lux2).
+    /// ... and squared noise that filtering leaves of the first level (lux2), both times the chance that a texel drawn by
+    /// its weight would have been this one over the chance that it was.
     pub noise: f64,
 }
 
 /// Pages of one density, and texels of the finest per texel of theirs, along a side.
 pub type Level<'a> = (&'a [LightmapPage], u32);
 
-impl GridPoints<'_> {
-    /// Deviations of `levels` at `count` points, evenly spread by weight.
+impl<'a> GridPoints<'a> {
+    /// Points to compare the maps of `solution` at, found along `path`.
+    pub fn new(path: &LightPath<'a>, solution: &'a Solution, options: &BakeOptions) -> GridPoints<'a> {
+        GridPoints {
+            seed: options.seed,
+            light: path.light(options.normals == Normals::Smooth),
+            weights: &solution.weights,
+            smooth: &solution.smooth,
+            smooth_direct: solution.smooth_direct,
+            split: options.double_sided == DoubleSided::Split,
+        }
+    }
+
+    /// Deviations of `levels` at `count` points, more of them where neighbouring texels of the map in `pages` differ: the
+    /// mean over all is that over the surface, by weight.
     pub fn deviations<const N: usize>(&self, levels: &[Level; N], count: usize) -> Vec<Deviation<N>> {
+        let chances = self.chances(levels[0].0);
+        let (all, whole) = (chances.iter().sum::<f64>(), self.weights.weight.iter().sum::<f64>());
         let mut random = Stream::new(hash_mix(self.seed, GRID));
-        let drawn = self.weights.spread(count, f64::from(random.unit()));
+        let drawn = spread(&chances, count, f64::from(random.unit()));
         let of = |sampler: &mut TexelSampler, (j, &texel): (usize, &usize)| {
             let key = hash_mix(hash_mix(self.seed, GRID + 1), j as u64);
-            self.deviation(texel, levels, sampler, &mut Stream::new(key))
+            let found = self.deviation(texel, levels, sampler, &mut Stream::new(key))?;
+            let ratio = (self.weights.weight[texel] / whole) / (chances[texel] / all);
+            Some(Deviation { texel, squares: found.squares.map(|s| s * ratio), noise: found.noise * ratio })
         };
         drawn.par_iter().enumerate().map_init(TexelSampler::default, of).flatten().collect()
+    }
+
+    /// How likely each texel is to be looked at: by its weight, by how far the texels around it differ from it, and by its
+    /// light, since what is small has few around it.
+    fn chances(&self, pages: &[LightmapPage]) -> Vec<f64> {
+        let texels = self.light.texels;
+        let contrast = |texel: usize| {
+            let (page, x, y) = texels.page_position(texel);
+            let page = &pages[page];
+            let shown = |x: u32, y: u32| Vec3::from(page.irradiance[(y * page.width + x) as usize]);
+            let columns = x.saturating_sub(1)..(x + 2).min(page.width);
+            let rows = y.saturating_sub(1)..(y + 2).min(page.height);
+            let own = shown(x, y);
+            let squares = rows.flat_map(|y| columns.clone().map(move |x| (x, y)));
+            let contrast = squares.map(|(x, y)| (shown(x, y) - own).length_squared()).fold(0.0, f32::max);
+            f64::from(contrast + OWN_SHARE * own.length_squared())
+        };
+        let weight = &self.weights.weight;
+        let of = |i: usize| if weight[i] > 0.0 { weight[i] * contrast(i) } else { 0.0 };
+        let found: Vec<f64> = (0..weight.len()).into_par_iter().map(of).collect();
+        let mean = found.iter().sum::<f64>() / weight.iter().sum::<f64>().max(f64::MIN_POSITIVE);
+        found.iter().zip(weight).map(|(f, w)| f + w * (EVEN_SHARE * mean).max(f64::MIN_POSITIVE)).collect()
     }
 
     fn deviation<const N: usize>(
@@ -137,6 +184,40 @@ impl GridPoints<'_> {
         let twist = if corners > 0.0 { twist * (offset.x * offset.y / corners) } else { Vec3::ZERO };
         own + along(offset.x, left, right) + along(offset.y, up, down) + twist
     }
+}
+
+/// A page with texels twice as wide, each the mean over the surface of those that it covers.
+pub fn coarser(page: &LightmapPage) -> LightmapPage {
+    let (width, height) = (page.width.div_ceil(2), page.height.div_ceil(2));
+    let n = (width * height) as usize;
+    let mut out = LightmapPage {
+        width,
+        height,
+        irradiance: vec![[0.0; 3]; n],
+        half_difference: vec![[0.0; 3]; n],
+        back: Vec::new(),
+        coverage: vec![0.0; n],
+        area: vec![0.0; n],
+    };
+    for i in (0..page.coverage.len()).filter(|&i| page.coverage[i] > 0.0) {
+        let (x, y) = (i % page.width as usize / 2, i / page.width as usize / 2);
+        let to = y * width as usize + x;
+        // An area of 0 is that of a texel that shows another's light.
+        let area = page.area[i].max(f32::MIN_POSITIVE);
+        for c in 0..3 {
+            out.irradiance[to][c] += area * page.irradiance[i][c];
+            out.half_difference[to][c] += area * page.half_difference[i][c];
+        }
+        out.area[to] += area;
+        out.coverage[to] += 0.25 * page.coverage[i];
+    }
+    for i in (0..n).filter(|&i| out.coverage[i] > 0.0) {
+        let area = out.area[i];
+        out.irradiance[i] = out.irradiance[i].map(|e| e / area);
+        out.half_difference[i] = out.half_difference[i].map(|e| e / area);
+    }
+    fill_gutters(&mut out, 1);
+    out
 }
 
 /// Irradiance and half the difference of its halves as a filter shows them at `place` of a page [texels], which repeats

@@ -10,6 +10,9 @@
 mod audit;
 mod estimate;
 mod light;
+mod surface;
+
+pub use surface::Surface;
 
 use crate::accuracy::{
     Audit, Halves, MeshError, Missed, Spent, TexelError, TexelWeights, Unseen, cheapest_growth, gather_rays,

@@ -1,0 +1,122 @@
+//! 3. A look at the light before charts get their places: where texels are needed.
+//!
+//! In: charts. Out: a density for each. A bake with wide texels and a coarse target tells how much worse filtering
+//! becomes in each chart with wider ones still.
+
+use crate::accuracy::{DensityGoal, GridFall, TexelWeights, chart_densities};
+use crate::atlas::{Atlas, Texels, Unwrapping, check_memory};
+use crate::error::{BakeError, Warning};
+use crate::light::{Emitters, Visibility};
+use crate::lightmap::{GridPoints, Lightmap, coarser};
+use crate::observer::Observer;
+use crate::options::{Audits, BakeOptions, Density};
+use crate::solve::{Surface, solve};
+use std::time::Instant;
+
+/// Texels are so many times as wide as those that would fill the page.
+const WIDTH: f64 = 2.0;
+
+/// Texels between charts: some are left between them where texels are four times as wide.
+const GUTTER: u32 = 12;
+
+/// The target is so many times that of the bake, within these percent.
+const TARGET: f64 = 5.0;
+const TARGETS: std::ops::RangeInclusive<f64> = 5.0..=15.0;
+
+/// Part of a time limit that this may take.
+const TIME_SHARE: f64 = 0.1;
+
+/// Points that are looked at: so many for each texel, but no more than these in all.
+const POINTS_PER_TEXEL: usize = 8;
+const MOST_POINTS: usize = 1 << 18;
+
+/// Sets the densities of the charts of `unwrapping`, and returns what they are to be laid out with; all remain the same
+/// where nothing can be told.
+///
+/// # Errors
+/// [`BakeError::Cancelled`].
+pub fn adapt_density(
+    unwrapping: &mut Unwrapping,
+    visibility: &Visibility,
+    emitters: &Emitters,
+    options: &BakeOptions,
+    observer: &mut dyn Observer,
+) -> Result<Density, BakeError> {
+    let world = visibility.world;
+    let even = unwrapping.even_density(options);
+    let coarse = BakeOptions {
+        target_percent: (TARGET * options.target_percent).clamp(*TARGETS.start(), *TARGETS.end()),
+        target_mesh_percent: Some(f64::MAX),
+        time_limit: options.time_limit.map(|s| TIME_SHARE * s),
+        density: Density::TexelsPerMetre(even / WIDTH),
+        gutter: GUTTER.min(options.max_texture / 4),
+        audit: Audits::Off,
+        ..options.clone()
+    };
+    let laid_out = unwrapping.lay_out(&coarse, &|| observer.cancelled());
+    let atlas = match laid_out {
+        Ok(atlas) => atlas,
+        Err(BakeError::Cancelled) => return Err(BakeError::Cancelled),
+        Err(_) => return Ok(Density::Even),
+    };
+    if check_memory(world, &atlas, options.memory_limit).is_err() {
+        return Ok(Density::Even);
+    }
+    let places = unwrapping.places(&atlas);
+    let Some(falls) = falls(&atlas, &places, visibility, emitters, &coarse, observer)? else {
+        return Ok(Density::Even);
+    };
+    let BakeOptions { target_percent, target_shown_percent, .. } = *options;
+    let goal = DensityGoal { target_percent, target_shown_percent };
+    let (factors, share) = chart_densities(&unwrapping.sizes(even, options), &falls, 1.0 / WIDTH, goal);
+    unwrapping.set_densities(&factors);
+    Ok(if share == 1.0 { Density::Even } else { Density::TexelsPerMetre(even) })
+}
+
+/// How filtering errs more with wider texels, by the place of the chart; `places` are those of the charts of `atlas`. `None`
+/// where there is no light.
+fn falls(
+    atlas: &Atlas,
+    places: &[usize],
+    visibility: &Visibility,
+    emitters: &Emitters,
+    options: &BakeOptions,
+    observer: &mut dyn Observer,
+) -> Result<Option<Vec<GridFall>>, BakeError> {
+    let world = visibility.world;
+    let surface = Surface::new(Texels::new(world, atlas), atlas, visibility, options);
+    let path = surface.path(emitters, visibility);
+    let weights = TexelWeights::of_values(world, &surface.texels, &surface.open, options.texel_value);
+    let solution = solve(path, weights, options, Instant::now(), &mut Unseen(observer))?;
+    if solution.error.mean <= 0.0 {
+        return Ok(None);
+    }
+    let pages = Lightmap::new(world, atlas, &surface.texels, &surface.shown, &solution, options).pages;
+    let twice: Vec<_> = pages.iter().map(coarser).collect();
+    let four_times: Vec<_> = twice.iter().map(coarser).collect();
+    let points = GridPoints::new(&path, &solution, options);
+    let count = (POINTS_PER_TEXEL * surface.texels.mapped).min(MOST_POINTS);
+    let mut falls = vec![GridFall::default(); places.iter().max().map_or(0, |p| p + 1)];
+    let weight = &solution.weights.weight;
+    let all: f64 = weight.iter().sum();
+    let place = |texel: usize| places[surface.texels.texels[texel].chart as usize];
+    weight.iter().enumerate().for_each(|(i, w)| falls[place(i)].share += w / all);
+    for d in points.deviations(&[(&pages, 1), (&twice, 2), (&four_times, 4)], count) {
+        let [one, two, four] = d.squares.map(|s| s / solution.error.mean.powi(2));
+        let chart = &mut falls[place(d.texel)];
+        chart.fine.add(two - one);
+        chart.coarse.add(four - two);
+    }
+    Ok(Some(falls))
+}
+
+/// Passes on whether to stop, and nothing else: what a pilot finds is not the bake's.
+struct Unseen<'a>(&'a mut dyn Observer);
+
+impl Observer for Unseen<'_> {
+    fn cancelled(&self) -> bool {
+        self.0.cancelled()
+    }
+
+    fn warn(&mut self, _: &Warning) {}
+}
