@@ -197,6 +197,8 @@ pub enum TexelValue {
 pub enum Smoothing {
     /// Cells of many texels, as large as the noise asks for; what that blurs is part of the stated error.
     Cells,
+    /// The same, but for direct light: of that every texel has its own samples.
+    Indirect,
     /// Nothing: every texel has the photons that it caught itself. Unbiased, and slow.
     None,
 }

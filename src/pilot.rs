@@ -9,7 +9,7 @@ use crate::error::{BakeError, Warning};
 use crate::light::{Emitters, Visibility};
 use crate::lightmap::{GridPoints, Lightmap, coarser};
 use crate::observer::Observer;
-use crate::options::{Audits, BakeOptions, Density};
+use crate::options::{Audits, BakeOptions, Density, Smoothing};
 use crate::solve::{Surface, solve};
 use std::time::Instant;
 
@@ -51,6 +51,11 @@ pub fn adapt_density(
         density: Density::TexelsPerMetre(even / WIDTH),
         gutter: GUTTER.min(options.max_texture / 4),
         audit: Audits::Off,
+        // Where direct light is smoothed, edges of shadows are not seen. That of a sky alone is too noisy else.
+        smoothing: match options.smoothing {
+            Smoothing::Cells if emitters.sky().is_none() => Smoothing::Indirect,
+            smoothing => smoothing,
+        },
         ..options.clone()
     };
     let laid_out = unwrapping.lay_out(&coarse, &|| observer.cancelled());
@@ -104,6 +109,7 @@ fn falls(
     for d in points.deviations(&[(&pages, 1), (&twice, 2), (&four_times, 4)], count) {
         let [one, two, four] = d.squares.map(|s| s / solution.error.mean.powi(2));
         let chart = &mut falls[place(d.texel)];
+        chart.own.add(one);
         chart.fine.add(two - one);
         chart.coarse.add(four - two);
     }

@@ -14,6 +14,8 @@ use crate::atlas::ChartSize;
 pub struct GridFall {
     /// Share of the weight of all texels.
     pub share: f64,
+    /// Squared error with the texels there are.
+    pub own: Moments,
     /// Squared error with texels twice as wide less that with the texels there are.
     pub fine: Moments,
     /// ... four times as wide less twice as wide.
@@ -30,7 +32,7 @@ pub struct DensityGoal {
 }
 
 /// Densities relative to the even one: powers of the fourth root of 2 in this range.
-const LADDER: std::ops::RangeInclusive<i32> = -12..=8;
+const LADDER: std::ops::RangeInclusive<i32> = -12..=16;
 
 /// Where twice the texels lower what is shown by less than this share, half of them do.
 const LEAST_GAIN: f64 = 0.1;
@@ -49,12 +51,15 @@ const SCATTER_DRAWN: f64 = 2.0;
 struct Part {
     square: f64,
     power: f64,
+    /// What is left of it: of what is finer than the texels. It is taken to fall like that of an edge.
+    finer: f64,
 }
 
 impl Part {
     /// With texels of `pilot / factor` times the width.
     fn at(&self, pilot: f64, factor: f64) -> f64 {
-        self.square * libm::pow(pilot / factor, self.power)
+        let width = pilot / factor;
+        self.square * libm::pow(width, self.power) + self.finer * width
     }
 }
 
@@ -88,6 +93,7 @@ pub fn chart_densities(sizes: &[ChartSize], falls: &[GridFall], pilot: f64, goal
 fn parts(falls: &[GridFall]) -> Vec<Part> {
     let mut all = GridFall::default();
     for f in falls {
+        all.own.append(&f.own);
         all.fine.append(&f.fine);
         all.coarse.append(&f.coarse);
     }
@@ -95,20 +101,24 @@ fn parts(falls: &[GridFall]) -> Vec<Part> {
         let fine = drawn(f.share, &f.fine, &all.fine);
         let coarse = drawn(f.share, &f.coarse, &all.coarse);
         let power = libm::log2(coarse / fine).clamp(*POWERS.start(), *POWERS.end());
-        Part { square: f.share * fine / (libm::exp2(power) - 1.0), power }
+        let square = fine / (libm::exp2(power) - 1.0);
+        let finer = (drawn(f.share, &f.own, &all.own) - square).max(0.0);
+        Part { square: f.share * square, power, finer: f.share * finer }
     };
     falls.iter().map(part).collect()
 }
 
-/// Mean square over a chart of `share` of all weight, drawn to that over `all` as far as its own scatter leaves it unsure,
-/// if charts differ by about as much as that; above 0.
+/// Mean square over a chart of `share` of all weight, drawn to that over `all` as far as its own scatter leaves it unsure;
+/// above 0.
 fn drawn(share: f64, found: &Moments, all: &Moments) -> f64 {
     let mean = all.mean().max(1e-12);
     // A point of this chart counts for so much of its mean.
     let points = (all.count() * share).max(1e-300);
     let own = found.count() * found.mean() / points;
     let scatter = (found.squares() + SCATTER_DRAWN * all.squares() / all.count().max(1.0)) / (points * points);
-    let sure = mean * mean / (mean * mean + scatter);
+    // Charts differ by orders of magnitude.
+    let spread = mean.max(own).powi(2);
+    let sure = spread / (spread + scatter);
     (sure * own + (1.0 - sure) * mean).max(1e-3 * mean)
 }
 

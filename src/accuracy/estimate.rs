@@ -3,8 +3,8 @@
 use super::interval::{TWO_SIDED_95, chi_square_quantile};
 use super::plan::SMOOTH_FALL;
 use crate::atlas::Texels;
-use crate::options::TexelValue;
 use crate::cell::{Bias, Node, SurfaceTree};
+use crate::options::TexelValue;
 use crate::scene::World;
 use glam::Vec3;
 use rayon::prelude::*;

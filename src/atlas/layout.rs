@@ -132,11 +132,7 @@ impl<'s> Unwrapping<'s> {
     ///
     /// # Errors
     /// [`BakeError::Limit`] where the pages do not suffice, and [`BakeError::Cancelled`].
-    pub fn lay_out(
-        &self,
-        options: &BakeOptions,
-        cancelled: &(dyn Fn() -> bool + Sync),
-    ) -> Result<Atlas, BakeError> {
+    pub fn lay_out(&self, options: &BakeOptions, cancelled: &(dyn Fn() -> bool + Sync)) -> Result<Atlas, BakeError> {
         let Unwrapping { scene, shared, units, meshes, .. } = self;
         let layout = lay_out(units, options, self.deadline, cancelled)?;
         let mut warnings = self.warnings.clone();

@@ -125,7 +125,7 @@ pub struct BakeArgs {
     #[arg(long, default_value = "open", value_parser = ["open", "mean", "fit"], help_heading = "Maps")]
     texel_value: String,
     /// Smooth light of photons and of the sky over cells as large as its noise asks for, or leave every texel its own.
-    #[arg(long, default_value = "cells", value_parser = ["cells", "none"], help_heading = "Maps")]
+    #[arg(long, default_value = "cells", value_parser = ["cells", "indirect", "none"], help_heading = "Maps")]
     smoothing: String,
     /// What the maps hold: E / pi [cd/m2], or E [lux].
     #[arg(long, default_value = "irradiance-over-pi", value_parser = ["irradiance-over-pi", "irradiance"], help_heading = "Maps")]
@@ -208,7 +208,11 @@ impl BakeArgs {
                 _ => DoubleSided::Auto,
             },
             texel_value: if self.texel_value == "mean" { TexelValue::Mean } else { TexelValue::Open },
-            smoothing: if self.smoothing == "none" { Smoothing::None } else { Smoothing::Cells },
+            smoothing: match self.smoothing.as_str() {
+                "none" => Smoothing::None,
+                "indirect" => Smoothing::Indirect,
+                _ => Smoothing::Cells,
+            },
             quantity: if self.quantity == "irradiance" { Quantity::Irradiance } else { Quantity::IrradianceOverPi },
             only: self.only.clone(),
             exclude: self.exclude.clone(),

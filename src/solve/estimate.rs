@@ -70,7 +70,7 @@ impl Solver<'_, '_> {
         };
         let smoothed = self.smoothed(&caught, &found, soft.as_ref().map(|s| &s.light));
         let biases = |depth: u32| match self.options.smoothing {
-            Smoothing::Cells => smoothed.bias(tree, instances, depth, weight),
+            Smoothing::Cells | Smoothing::Indirect => smoothed.bias(tree, instances, depth, weight),
             Smoothing::None => vec![Bias::default(); instances + 1],
         };
         let depth = BIAS_DEPTH.max(LEAST_BLOCKS.div_ceil(smoothed.blocks.len().max(1)).next_power_of_two().ilog2());

@@ -31,7 +31,7 @@ impl Solver<'_, '_> {
     /// Light of surfaces and of the sky, smoothed over cells as if photons had brought it; `None` where it has no noise.
     pub(super) fn soft_light(&self) -> Option<Smooth> {
         let LightPath { tree, texels, visibility, .. } = self.path;
-        if self.options.smoothing == Smoothing::None {
+        if self.options.smoothing != Smoothing::Cells {
             return None;
         }
         let direct = &self.direct;
@@ -98,7 +98,7 @@ impl Solver<'_, '_> {
         let LightPath { tree, visibility, .. } = self.path;
         let caught = [&caught[0], &caught[1]];
         match self.options.smoothing {
-            Smoothing::Cells => Reconstruction::new(tree, caught, visibility.accel),
+            Smoothing::Cells | Smoothing::Indirect => Reconstruction::new(tree, caught, visibility.accel),
             Smoothing::None => Reconstruction::raw(tree, caught),
         }
     }
