@@ -70,9 +70,12 @@ fn bake_here<'s>(scene: &'s Scene, options: &BakeOptions, observer: &mut dyn Obs
     let emitters =
         Emitters::new(&world, &lighting, LightSettings { indirect_only: options.lights == Lights::Indirect });
     let mut laid_out = options.clone();
+    let mut pilot = None;
     if let Some(unwrapping) = unwrapping.as_mut().filter(|_| options.adapts_density()) {
         observer.stage(Stage::Pilot);
-        laid_out.density = adapt_density(unwrapping, &visibility, &emitters, options, observer)?;
+        let found = adapt_density(unwrapping, &visibility, &emitters, options, observer)?;
+        laid_out.density = found.density;
+        pilot = Some(found);
         seconds.pilot = clock.lap();
     }
     let cancelled = || observer.cancelled();
@@ -105,6 +108,10 @@ fn bake_here<'s>(scene: &'s Scene, options: &BakeOptions, observer: &mut dyn Obs
     let Surface { texels, open, probe_rays, .. } = surface;
     let mut report = report(&world, &atlas, &texels, &open, &solution, &lighting, options);
     report.set_shown(&on_screen);
+    report.skips.extend(pilot.filter(|p| p.share < 1.0).map(|p| {
+        let why = if options.target_shown_percent.is_some() { "meet the target of what is shown" } else { "do" };
+        format!("texels: {:.1} % of those that fit on a page {why}; --density even takes all", 100.0 * p.share)
+    }));
     report.warnings.extend(coincident_warning(&world, &parted));
     (report.work.emissive_triangles, report.work.lights) = emitters.counts();
     report.work.probe_rays = probe_rays;

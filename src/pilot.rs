@@ -28,10 +28,20 @@ const TIME_SHARE: f64 = 0.1;
 
 /// Points that are looked at: so many for each texel, but no more than these in all.
 const POINTS_PER_TEXEL: usize = 8;
-const MOST_POINTS: usize = 1 << 18;
+const MOST_POINTS: usize = 1 << 17;
 
-/// Sets the densities of the charts of `unwrapping`, and returns what they are to be laid out with; all remain the same
-/// where nothing can be told.
+/// What a pilot says.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Pilot {
+    /// What the charts are to be laid out with.
+    pub density: Density,
+    /// Share of the texels that fit a page which is enough.
+    pub share: f64,
+}
+
+const NOTHING: Pilot = Pilot { density: Density::Even, share: 1.0 };
+
+/// Sets the densities of the charts of `unwrapping`; all remain the same where nothing can be told.
 ///
 /// # Errors
 /// [`BakeError::Cancelled`].
@@ -41,7 +51,7 @@ pub fn adapt_density(
     emitters: &Emitters,
     options: &BakeOptions,
     observer: &mut dyn Observer,
-) -> Result<Density, BakeError> {
+) -> Result<Pilot, BakeError> {
     let world = visibility.world;
     let even = unwrapping.even_density(options);
     let coarse = BakeOptions {
@@ -62,20 +72,21 @@ pub fn adapt_density(
     let atlas = match laid_out {
         Ok(atlas) => atlas,
         Err(BakeError::Cancelled) => return Err(BakeError::Cancelled),
-        Err(_) => return Ok(Density::Even),
+        Err(_) => return Ok(NOTHING),
     };
     if check_memory(world, &atlas, options.memory_limit).is_err() {
-        return Ok(Density::Even);
+        return Ok(NOTHING);
     }
     let places = unwrapping.places(&atlas);
     let Some(falls) = falls(&atlas, &places, visibility, emitters, &coarse, observer)? else {
-        return Ok(Density::Even);
+        return Ok(NOTHING);
     };
     let BakeOptions { target_percent, target_shown_percent, .. } = *options;
     let goal = DensityGoal { target_percent, target_shown_percent };
     let (factors, share) = chart_densities(&unwrapping.sizes(even, options), &falls, 1.0 / WIDTH, goal);
     unwrapping.set_densities(&factors);
-    Ok(if share == 1.0 { Density::Even } else { Density::TexelsPerMetre(even) })
+    let density = if share == 1.0 { Density::Even } else { Density::TexelsPerMetre(even) };
+    Ok(Pilot { density, share })
 }
 
 /// How filtering errs more with wider texels, by the place of the chart; `places` are those of the charts of `atlas`. `None`

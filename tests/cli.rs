@@ -166,8 +166,7 @@ fn wrong_usage_returns_2_and_writes_nothing() {
 
 #[test]
 fn what_is_not_built_is_refused_not_ignored() {
-    let flags: [&[&str]; 7] = [
-        &["--target-shown-percent", "5"],
+    let flags: [&[&str]; 6] = [
         &["--texel-value", "fit"],
         &["--cache", "c"],
         &["--resume"],

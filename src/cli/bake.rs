@@ -162,8 +162,10 @@ fn summary(r: &Report, folder: &Path) -> String {
         Some(limit) => format!("target {} % NOT met: ended by {limit}", r.target_percent),
     };
     let audit = r.audit.as_ref().map_or(String::new(), |a| format!("{}\n", audit(a)));
+    let asked = r.target_shown_percent.map_or(String::new(), |target| format!(" (target {target} %)"));
     format!(
         "{verdict}: texel error {:.2} % ({:.2} to {:.2}), 95 % of the meshes under {:.1} % (target {:.1} %)\n{audit}\
+         with what filtering adds between texels: {:.2} %{asked}\n\
          {} texels, {} triangles, {:.1} M rays in {}; mean irradiance {:.4} lux\n\
          written to {}",
         r.texel_error_percent,
@@ -171,6 +173,7 @@ fn summary(r: &Report, folder: &Path) -> String {
         r.texel_error_interval[1],
         r.mesh_error_percent_95,
         r.target_mesh_percent,
+        r.shown_error_percent,
         r.atlas.texels,
         r.atlas.triangles,
         (r.work.direct_rays + r.work.photon_rays + r.work.gather_rays + r.work.probe_rays) as f64 / 1e6,

@@ -18,7 +18,7 @@ use rayon::prelude::*;
 
 /// Points: so many for each texel, but no more than these in all.
 const POINTS_PER_TEXEL: usize = 8;
-const MOST_POINTS: usize = 1 << 17;
+const MOST_POINTS: usize = 1 << 16;
 
 /// When points are spread: squared contrast that a texel is taken to have besides that with the texels around, in parts of
 /// its own squared light, and of the mean over all.

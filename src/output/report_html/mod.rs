@@ -195,10 +195,13 @@ fn split(r: &Report) -> String {
     };
     format!(
         "<h2>What the error is made of</h2>\n<table class=\"bars\">\n{}</table>\n\
-         <p class=\"soft\">In percent of the mean irradiance; squares add up. A cell bias under {} % could not be told \
-         from none.</p>\n",
+         <p class=\"soft\">In percent of the mean irradiance; squares add up. A cell bias under {} % and a grid error \
+         under {} % could not be told from none. The texel grid is what bilinear filtering adds between texels: it is no part \
+         of the texel error. A filter shows {} % in all.</p>\n",
         parts.iter().map(bar).collect::<String>(),
-        figures(r.cell_bias_resolution)
+        figures(r.cell_bias_resolution),
+        figures(r.texel_grid_resolution),
+        figures(r.shown_error_percent)
     )
 }
 
@@ -262,6 +265,7 @@ fn warnings(r: &Report) -> String {
 fn stages(s: &Seconds) -> String {
     let stages = [
         ("lightmap UVs", s.atlas),
+        ("pilot", s.pilot),
         ("texels", s.texels),
         ("hierarchy", s.accel),
         ("buried surface", s.open),

@@ -1,0 +1,84 @@
+//! Texels go where light changes: bakes with densities that a pilot found, against even ones.
+
+mod common;
+
+use common::rooms::Builder;
+use evenlight::options::{Audits, Density};
+use evenlight::report::Report;
+use evenlight::scene::Scene;
+use evenlight::{BakeOptions, NoObserver, bake};
+use glam::Vec3;
+
+/// A room with a lamp over a small block: one shadow with sharp edges on the floor, smooth light on the walls.
+fn room() -> Scene {
+    let mut b = Builder::new(256);
+    let grey = b.diffuse(0.3, 0.0);
+    b.room(Vec3::ZERO, Vec3::new(4.0, 3.0, 4.0), grey, 8);
+    b.solid(Vec3::new(1.8, 0.5, 1.8), Vec3::new(2.2, 0.6, 2.2), grey, 8);
+    b.point_light(Vec3::new(2.1, 2.9, 1.9), 100.0);
+    b.finish()
+}
+
+fn baked(scene: &Scene, page: u32, density: Density, shown: Option<f64>) -> Report {
+    let options = BakeOptions {
+        target_percent: 3.0,
+        target_mesh_percent: Some(1e9),
+        target_shown_percent: shown,
+        max_texture: page,
+        density,
+        audit: Audits::Off,
+        ..BakeOptions::default()
+    };
+    let bake = bake(scene, &options, &mut NoObserver).expect("the bake succeeds");
+    assert!(bake.report.texel_error_percent <= 3.0);
+    bake.report
+}
+
+#[test]
+fn a_third_of_the_texels_shows_as_much() {
+    let scene = room();
+    let even = baked(&scene, 256, Density::Even, None);
+    let adapted = baked(&scene, 128, Density::Auto, None);
+    println!(
+        "{} % by {} texels, {} % by {}",
+        even.texel_grid_error, even.atlas.texels, adapted.texel_grid_error, adapted.atlas.texels
+    );
+    assert!(adapted.atlas.texels * 3 < even.atlas.texels);
+    assert!(adapted.texel_grid_error <= even.texel_grid_error);
+}
+
+#[test]
+fn no_more_texels_than_the_target_asks_for() {
+    let scene = room();
+    let most = baked(&scene, 256, Density::Auto, None);
+    let met = baked(&scene, 256, Density::Auto, Some(20.0));
+    println!(
+        "{} % by {} texels, {} % by {}",
+        most.shown_error_percent, most.atlas.texels, met.shown_error_percent, met.atlas.texels
+    );
+    assert!(met.target_met && met.shown_error_percent <= 20.0);
+    assert!(met.atlas.texels < most.atlas.texels);
+    assert!(met.skips.iter().any(|s| s.contains("texels")), "{:?}", met.skips);
+
+    let missed = baked(&scene, 64, Density::Auto, Some(3.1));
+    assert!(!missed.target_met && missed.shown_error_percent > 3.1);
+    assert_eq!(missed.limit, Some("texels"));
+}
+
+/// Charts and their densities are a function of the scene alone.
+#[test]
+fn threads_do_not_matter() {
+    let scene = room();
+    let with = |threads: usize| {
+        let options = BakeOptions {
+            target_percent: 5.0,
+            max_texture: 128,
+            threads,
+            audit: Audits::Off,
+            ..BakeOptions::default()
+        };
+        let bake = bake(&scene, &options, &mut NoObserver).expect("the bake succeeds");
+        (bake.lightmap.pages.iter().map(|p| p.irradiance.clone()).collect::<Vec<_>>(), bake.atlas.pages)
+    };
+    assert!(with(1) == with(3));
+}
