@@ -13,15 +13,17 @@ use crate::options::{Audits, BakeOptions, Density, Smoothing};
 use crate::solve::{Surface, solve};
 use std::time::Instant;
 
-/// Texels are so many times as wide as those that would fill the page.
-const WIDTH: f64 = 2.0;
+/// Texels are so many times as wide as those that the page would hold, first all the same, then as found so far: what is
+/// finer than a texel is seen late (measured: an error between texels lower by 5 to 30 % for the same texels than by one
+/// look at half the density).
+const WIDTHS: [f64; 2] = [4.0, 2.0];
 
 /// Texels between charts: some are left between them where texels are four times as wide.
 const GUTTER: u32 = 12;
 
 /// The target is so many times that of the bake, within these percent.
 const TARGET: f64 = 5.0;
-const TARGETS: std::ops::RangeInclusive<f64> = 5.0..=15.0;
+const TARGETS: std::ops::RangeInclusive<f64> = 5.0..=30.0;
 
 /// Part of a time limit that this may take.
 const TIME_SHARE: f64 = 0.1;
@@ -58,7 +60,6 @@ pub fn adapt_density(
         target_percent: (TARGET * options.target_percent).clamp(*TARGETS.start(), *TARGETS.end()),
         target_mesh_percent: Some(f64::MAX),
         time_limit: options.time_limit.map(|s| TIME_SHARE * s),
-        density: Density::TexelsPerMetre(even / WIDTH),
         gutter: GUTTER.min(options.max_texture / 4),
         audit: Audits::Off,
         // Where direct light is smoothed, edges of shadows are not seen. That of a sky alone is too noisy else.
@@ -68,23 +69,29 @@ pub fn adapt_density(
         },
         ..options.clone()
     };
-    let laid_out = unwrapping.lay_out(&coarse, &|| observer.cancelled());
-    let atlas = match laid_out {
-        Ok(atlas) => atlas,
-        Err(BakeError::Cancelled) => return Err(BakeError::Cancelled),
-        Err(_) => return Ok(NOTHING),
-    };
-    if check_memory(world, &atlas, options.memory_limit).is_err() {
-        return Ok(NOTHING);
-    }
-    let places = unwrapping.places(&atlas);
-    let Some(falls) = falls(&atlas, &places, visibility, emitters, &coarse, observer)? else {
-        return Ok(NOTHING);
-    };
     let BakeOptions { target_percent, target_shown_percent, .. } = *options;
     let goal = DensityGoal { target_percent, target_shown_percent };
-    let (factors, share) = chart_densities(&unwrapping.sizes(even, options), &falls, 1.0 / WIDTH, goal);
-    unwrapping.set_densities(&factors);
+    let sizes = unwrapping.sizes(even, options);
+    let mut factors = vec![1.0; sizes.len()];
+    let mut share = 1.0;
+    for width in WIDTHS {
+        let coarse = BakeOptions { density: Density::TexelsPerMetre(even / width), ..coarse.clone() };
+        let atlas = match unwrapping.lay_out(&coarse, &|| observer.cancelled()) {
+            Ok(atlas) => atlas,
+            Err(BakeError::Cancelled) => return Err(BakeError::Cancelled),
+            Err(_) => return Ok(NOTHING),
+        };
+        if check_memory(world, &atlas, options.memory_limit).is_err() {
+            return Ok(NOTHING);
+        }
+        let places = unwrapping.places(&atlas);
+        let Some(falls) = falls(&atlas, &places, visibility, emitters, &coarse, observer)? else {
+            return Ok(NOTHING);
+        };
+        let pilot: Vec<f64> = factors.iter().map(|f| f / width).collect();
+        (factors, share) = chart_densities(&sizes, &falls, &pilot, goal);
+        unwrapping.set_densities(&factors);
+    }
     let density = if share == 1.0 { Density::Even } else { Density::TexelsPerMetre(even) };
     Ok(Pilot { density, share })
 }

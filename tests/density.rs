@@ -15,7 +15,7 @@ fn room() -> Scene {
     let grey = b.diffuse(0.3, 0.0);
     b.room(Vec3::ZERO, Vec3::new(4.0, 3.0, 4.0), grey, 8);
     b.solid(Vec3::new(1.8, 0.5, 1.8), Vec3::new(2.2, 0.6, 2.2), grey, 8);
-    b.point_light(Vec3::new(2.1, 2.9, 1.9), 100.0);
+    b.point_light(Vec3::new(2.1, 2.0, 1.9), 100.0);
     b.finish()
 }
 

@@ -44,6 +44,9 @@ const LEAST_BUDGET: f64 = 1.0 / 256.0;
 /// Squared error falls with the width of texels by a power between that at an edge and that of smooth light.
 const POWERS: std::ops::RangeInclusive<f64> = 1.0..=4.0;
 
+/// ... and that of what is finer than the texels by this, once they are fine enough.
+const FINER_POWER: f64 = 2.0;
+
 /// Points like the mean of all that a chart is taken to have scattered by besides its own.
 const SCATTER_DRAWN: f64 = 2.0;
 
@@ -52,7 +55,7 @@ const SCATTER_DRAWN: f64 = 2.0;
 struct Part {
     square: f64,
     power: f64,
-    /// What is left of it: of what is finer than the texels. It is taken to fall like that of an edge.
+    /// What is left of it: of what is finer than the texels.
     finer: f64,
 }
 
@@ -60,21 +63,21 @@ impl Part {
     /// With texels of `pilot / factor` times the width.
     fn at(&self, pilot: f64, factor: f64) -> f64 {
         let width = pilot / factor;
-        self.square * libm::pow(width, self.power) + self.finer * width
+        self.square * libm::pow(width, self.power) + self.finer * libm::pow(width, FINER_POWER)
     }
 }
 
 /// The density of each chart relative to the even one, and the share of the texels that fit which these are. `falls` are
-/// from texels `pilot` times as dense as the even ones.
-pub fn chart_densities(sizes: &[ChartSize], falls: &[GridFall], pilot: f64, goal: DensityGoal) -> (Vec<f64>, f64) {
+/// from texels of the densities `pilot`, relative to the same.
+pub fn chart_densities(sizes: &[ChartSize], falls: &[GridFall], pilot: &[f64], goal: DensityGoal) -> (Vec<f64>, f64) {
     let factors: Vec<f64> = LADDER.map(|k| libm::exp2(f64::from(k) / STEPS)).collect();
     let parts = parts(falls);
-    let choice = |size: &ChartSize, part: &Part| -> Vec<Choice> {
+    let choice = |size: &ChartSize, part: &Part, pilot: f64| -> Vec<Choice> {
         let of = |&factor: &f64| Choice { factor, square: part.at(pilot, factor), texels: size.at(factor) };
         let fitting = factors.iter().take_while(|f| **f <= size.most).count().max(1);
         factors[..fitting].iter().map(of).collect()
     };
-    let choices: Vec<Vec<Choice>> = sizes.iter().zip(&parts).map(|(s, p)| choice(s, p)).collect();
+    let choices: Vec<Vec<Choice>> = sizes.iter().zip(&parts).zip(pilot).map(|((s, p), &d)| choice(s, p, d)).collect();
     let whole: f64 = sizes.iter().map(|s| s.at(1.0)).sum();
     let noise = (goal.target_percent / 100.0).powi(2);
     let spend = |share: f64| {
@@ -118,10 +121,12 @@ fn parts(falls: &[GridFall]) -> Vec<Part> {
         let fine = drawn(f.share, &f.fine, &all.fine);
         let coarse = drawn(f.share, &f.coarse, &all.coarse);
         let power = libm::log2(coarse / fine).clamp(*POWERS.start(), *POWERS.end());
-        let square = fine / (libm::exp2(power) - 1.0);
-        // The error itself is far noisier than how it grows: what is surely there.
+        let grown = fine / (libm::exp2(power) - 1.0);
+        // The error itself is far noisier than how it grows; what is wider than the chart does not grow any more.
         let (own, scatter) = mean_square(f.share, &f.own, &all.own);
-        let finer = (own - scatter.sqrt() - square).max(0.0);
+        let total = grown.clamp((own - scatter.sqrt()).max(0.0), (own + scatter.sqrt()).max(0.0));
+        let square = grown.min(total);
+        let finer = total - square;
         Part { square: f.share * square, power, finer: f.share * finer }
     };
     falls.iter().map(part).collect()
@@ -186,7 +191,7 @@ mod tests {
     /// The least of sum of s / f where f^2 sums to a constant is where f goes as the cube root of s.
     #[test]
     fn edges_get_texels_by_the_cube_root_of_their_error() {
-        let (factors, share) = chart_densities(&[SIZE, SIZE], &[edge(0.1), edge(0.1 / 64.0)], 0.5, goal(None));
+        let (factors, share) = chart_densities(&[SIZE, SIZE], &[edge(0.1), edge(0.1 / 64.0)], &[0.5; 2], goal(None));
         assert_eq!(share, 1.0);
         assert!(((factors[0] / factors[1]).log2() - 2.0).abs() <= 1.0 / STEPS, "{factors:?}");
         let texels: f64 = factors.iter().map(|f| SIZE.at(*f)).sum();
@@ -196,14 +201,14 @@ mod tests {
 
     #[test]
     fn texels_that_make_no_difference_are_left_out() {
-        let (_, share) = chart_densities(&[SIZE, SIZE], &[edge(1e-8), edge(1e-9)], 0.5, goal(None));
+        let (_, share) = chart_densities(&[SIZE, SIZE], &[edge(1e-8), edge(1e-9)], &[0.5; 2], goal(None));
         assert_eq!(share, LEAST_BUDGET);
     }
 
     #[test]
     fn a_target_is_met_with_no_more_texels_than_needed() {
         let falls = [edge(0.01), edge(0.001)];
-        let (factors, share) = chart_densities(&[SIZE, SIZE], &falls, 0.5, goal(Some(6.0)));
+        let (factors, share) = chart_densities(&[SIZE, SIZE], &falls, &[0.5; 2], goal(Some(6.0)));
         let shown = |factors: &[f64]| {
             let square: f64 = falls.iter().zip(factors).map(|(f, x)| f.share * f.own.mean() * 0.5 / x).sum();
             100.0 * (square + 1e-4).sqrt()
@@ -212,6 +217,6 @@ mod tests {
         let fewer: Vec<f64> = factors.iter().map(|f| f * libm::exp2(-1.0 / STEPS)).collect();
         assert!(shown(&fewer) > 6.0);
         // None do: all that fit.
-        assert_eq!(chart_densities(&[SIZE, SIZE], &falls, 0.5, goal(Some(1.1))).1, 1.0);
+        assert_eq!(chart_densities(&[SIZE, SIZE], &falls, &[0.5; 2], goal(Some(1.1))).1, 1.0);
     }
 }
