@@ -7,7 +7,7 @@ use crate::error::{BakeError, Warning};
 use crate::light::{Emitters, LightSettings, Lighting, Visibility};
 use crate::lightmap::{GridPoints, Lightmap, shown_error};
 use crate::observer::{Observer, Stage};
-use crate::options::{BakeOptions, Lights, UvSource};
+use crate::options::{BakeOptions, Density, Lights, UvSource};
 use crate::pilot::adapt_density;
 use crate::report::{AtlasSummary, Energy, Report, Seconds, Split, Work};
 use crate::scene::{Scene, SurfaceFlags, World};
@@ -78,11 +78,13 @@ fn bake_here<'s>(scene: &'s Scene, options: &BakeOptions, observer: &mut dyn Obs
         pilot = Some(found);
         seconds.pilot = clock.lap();
     }
-    let cancelled = || observer.cancelled();
-    let atlas = match &unwrapping {
-        Some(unwrapping) => unwrapping.lay_out(&laid_out, &cancelled)?,
-        None => atlas::build(scene, options, &cancelled)?,
+    let mut atlas = match &unwrapping {
+        Some(unwrapping) => unwrapping.lay_out(&laid_out, &|| observer.cancelled())?,
+        None => atlas::build(scene, options, &|| observer.cancelled())?,
     };
+    if let (Some(unwrapping), Density::Auto | Density::Even) = (&unwrapping, options.density) {
+        atlas = within_memory(unwrapping, atlas, &world, &laid_out, &|| observer.cancelled())?;
+    }
     drop(unwrapping);
     atlas::check_memory(&world, &atlas, options.memory_limit)?;
     seconds.atlas += clock.lap();
@@ -104,7 +106,9 @@ fn bake_here<'s>(scene: &'s Scene, options: &BakeOptions, observer: &mut dyn Obs
 
     observer.stage(Stage::Finish);
     let lightmap = Lightmap::new(&world, &atlas, &surface.texels, &surface.shown, &solution, options);
-    let on_screen = shown_error(&GridPoints::new(&path, &solution, options), &lightmap.pages, &solution.error);
+    let points = GridPoints::new(&path, &solution, options);
+    let samples = (GRID_SHARE * solution.direct_samples as f64) as u64;
+    let on_screen = shown_error(&points, &lightmap.pages, &solution.error, samples);
     let Surface { texels, open, probe_rays, .. } = surface;
     let mut report = report(&world, &atlas, &texels, &open, &solution, &lighting, options);
     report.set_shown(&on_screen);
@@ -132,6 +136,43 @@ fn bake_here<'s>(scene: &'s Scene, options: &BakeOptions, observer: &mut dyn Obs
     report.warnings.iter().for_each(|w| observer.warn(w));
     Ok(Bake { atlas, lightmap, report, lighting, world, accel, texels, solution })
 }
+
+/// Times that a density is lowered for want of memory.
+const MEMORY_TRIES: u32 = 4;
+
+/// `atlas`, or one with a density so low that a bake has memory enough.
+fn within_memory(
+    unwrapping: &Unwrapping,
+    mut atlas: Atlas,
+    world: &World,
+    options: &BakeOptions,
+    cancelled: &(dyn Fn() -> bool + Sync),
+) -> Result<Atlas, BakeError> {
+    let full = atlas.texels_per_metre;
+    for _ in 0..MEMORY_TRIES {
+        let asked = atlas::memory_bytes(world, &atlas);
+        if asked <= options.memory_limit {
+            break;
+        }
+        let lower = MEMORY_MARGIN * (options.memory_limit as f64 / asked as f64).sqrt() * atlas.texels_per_metre;
+        let options = BakeOptions { density: Density::TexelsPerMetre(lower), ..options.clone() };
+        atlas = unwrapping.lay_out(&options, cancelled)?;
+        let share = 100.0 * (atlas.texels_per_metre / full).powi(2);
+        let message = format!(
+            "texels: {share:.0} % of those that would do, for a bake with more takes over {} MiB; raise --memory-limit or \
+             lower --max-texture",
+            options.memory_limit >> 20
+        );
+        atlas.warnings.push(Warning::new("density-limited-by-memory", message));
+    }
+    Ok(atlas)
+}
+
+/// Part of the memory limit that a lower density is to take, which is rounded to whole texels.
+const MEMORY_MARGIN: f64 = 0.97;
+
+/// Direct samples, relative to those of the bake, that may tell what filtering shows.
+const GRID_SHARE: f64 = 0.03;
 
 fn report(
     world: &World,

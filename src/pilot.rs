@@ -124,7 +124,7 @@ fn falls(
     let all: f64 = weight.iter().sum();
     let place = |texel: usize| places[surface.texels.texels[texel].chart as usize];
     weight.iter().enumerate().for_each(|(i, w)| falls[place(i)].share += w / all);
-    for d in points.deviations(&[(&pages, 1), (&twice, 2), (&four_times, 4)], count) {
+    for d in points.deviations(&[(&pages, 1), (&twice, 2), (&four_times, 4)], count, 0) {
         let [one, two, four] = d.squares.map(|s| s / solution.error.mean.powi(2));
         let chart = &mut falls[place(d.texel)];
         chart.own.add(one);

@@ -6,7 +6,7 @@ mod scenes;
 
 use common::glb;
 use common::rooms::{centre, mean_where, received, run};
-use evenlight::options::{Audits, DoubleSided, Normals, TexelValue};
+use evenlight::options::{Audits, Density, DoubleSided, Normals, TexelValue};
 use evenlight::output::{NodeRect, node_rects};
 use evenlight::{Bake, BakeOptions, Scene};
 use std::f64::consts::PI;
@@ -26,6 +26,7 @@ fn options(page: u32, target_percent: f64) -> BakeOptions {
         target_percent,
         target_mesh_percent: Some(1e9),
         max_texture: page,
+        density: Density::Even,
         normals: Normals::Geometric,
         texel_value: TexelValue::Mean,
         ..BakeOptions::default()

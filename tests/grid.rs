@@ -120,15 +120,14 @@ fn edge_of_a_shadow() {
     agrees("shadow", &scene, &plain(PAGE, 2.0), &e);
 }
 
+fn lamp_corners() -> [DVec3; 4] {
+    [DVec3::new(-0.3, 0.5, -0.3), DVec3::new(0.3, 0.5, -0.3), DVec3::new(0.3, 0.5, 0.3), DVec3::new(-0.3, 0.5, 0.3)]
+}
+
 /// Light of a surface, sampled at the points, and smoothed over cells.
 #[test]
 fn lamp_near_a_floor() {
-    let corners = [
-        DVec3::new(-0.3, 0.5, -0.3),
-        DVec3::new(0.3, 0.5, -0.3),
-        DVec3::new(0.3, 0.5, 0.3),
-        DVec3::new(-0.3, 0.5, 0.3),
-    ];
+    let corners = lamp_corners();
     let mut b = floor();
     let bright = b.diffuse(0.0, 50.0);
     let lamp = b.quad("lamp", corners[0].as_vec3(), Vec3::X * 0.6, Vec3::Z * 0.6, bright, [1; 2]);
@@ -136,10 +135,15 @@ fn lamp_near_a_floor() {
     scene.instances[lamp].bake = false;
     let e = |p: DVec3, n: DVec3| polygon_irradiance(p, n, &corners, 50.0);
     agrees("lamp", &scene, &plain(PAGE, 2.0), &e);
+}
 
-    // The same where texels alone tell of it.
+/// The same light taken for reflected, which texels alone tell of.
+#[test]
+fn reflected_light_near_a_floor() {
+    let corners = lamp_corners();
+    let scene = floor().finish();
     let quad = QuadMap::of(&scene, 0, PAGE);
-    let (page, expected) = exact(&quad, &|p| e(p, quad.normal));
+    let (page, expected) = exact(&quad, &|p| polygon_irradiance(p, quad.normal, &corners, 50.0));
     let stage = Stage::new(&scene, PAGE);
     let visibility = Visibility::new(&stage.world, &stage.accel);
     let open = vec![1.0; stage.texels.mapped];
@@ -153,12 +157,11 @@ fn lamp_near_a_floor() {
         seed: 0,
         light: stage.light(&visibility, &open),
         weights: &TexelWeights::new(&stage.world, &stage.texels, &open),
-        smooth: &Halves { odd: exact.clone(), even: exact.clone() },
-        smooth_direct: true,
+        indirect: &Halves { odd: exact.clone(), even: exact.clone() },
         split: false,
     };
     let mut square = Moments::default();
-    points.deviations(&[(&[page][..], 1)], 1 << 17).iter().for_each(|d| square.add(d.squares[0]));
+    points.deviations(&[(&[page][..], 1)], 1 << 17, 0).iter().for_each(|d| square.add(d.squares[0]));
     let mean = exact.iter().map(|e| f64::from(e.x)).sum::<f64>() / exact.len() as f64;
     let found = 100.0 * square.mean().sqrt() / mean;
     // What a quadratic leaves of it is the rest.

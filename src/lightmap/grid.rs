@@ -1,7 +1,7 @@
 //! What bilinear filtering makes of the maps: how far it is from the irradiance inside the texels.
 //!
-//! At random points of the surface the filtered value B of each half is compared with the irradiance E there. Light
-//! with edges is sampled at the point itself, twice, V1 and V2; light without is followed by a quadratic through the
+//! At random points of the surface the filtered value B of each half is compared with the irradiance E there. Direct
+//! light is sampled at the point itself, twice, V1 and V2; reflected light is followed by a quadratic through the
 //! texels around, Q. The noise of all four cancels in the mean of (B_odd - Q_odd - V1)(B_even - Q_even - V2), which
 //! is that of (B - E)^2 for texels without noise: the squared discretisation error of the founding paper (Voloboy
 //! et al., "Analysis of accuracy of global illumination simulation").
@@ -9,7 +9,7 @@
 use super::{LightmapPage, fill_gutters};
 use crate::accuracy::{Halves, Moments, TexelError, TexelWeights, spread};
 use crate::atlas::TexelSampler;
-use crate::light::{Receiver, TexelLight};
+use crate::light::TexelLight;
 use crate::options::{BakeOptions, DoubleSided, Normals};
 use crate::sampling::{Stream, hash_mix};
 use crate::solve::{LightPath, Solution};
@@ -19,6 +19,11 @@ use rayon::prelude::*;
 /// Points: so many for each texel, but no more than these in all.
 const POINTS_PER_TEXEL: usize = 8;
 const MOST_POINTS: usize = 1 << 16;
+
+/// As many again, up to so many times in all, while what could not be told from none is more than this part of what is
+/// shown.
+const MOST_PASSES: u64 = 16;
+const RESOLVED: f64 = 0.25;
 
 /// When points are spread: squared contrast that a texel is taken to have besides that with the texels around, in parts of
 /// its own squared light, and of the mean over all.
@@ -40,10 +45,8 @@ pub struct GridPoints<'a> {
     pub light: TexelLight<'a>,
     /// How texels count.
     pub weights: &'a TexelWeights,
-    /// Light without edges within a texel (lux).
-    pub smooth: &'a Halves,
-    /// Whether soft direct light is a part of that.
-    pub smooth_direct: bool,
+    /// Reflected light (lux): it has no edges within a texel.
+    pub indirect: &'a Halves,
     /// Whether backs have pages of their own, which are not looked at.
     pub split: bool,
 }
@@ -70,21 +73,21 @@ impl<'a> GridPoints<'a> {
             seed: options.seed,
             light: path.light(options.normals == Normals::Smooth),
             weights: &solution.weights,
-            smooth: &solution.smooth,
-            smooth_direct: solution.smooth_direct,
+            indirect: &solution.indirect,
             split: options.double_sided == DoubleSided::Split,
         }
     }
 
     /// Deviations of `levels` at `count` points, more of them where neighbouring texels of the map in `pages` differ: the
     /// mean over all is that over the surface, by weight.
-    pub fn deviations<const N: usize>(&self, levels: &[Level; N], count: usize) -> Vec<Deviation<N>> {
+    /// `pass` sets their random numbers apart.
+    pub fn deviations<const N: usize>(&self, levels: &[Level; N], count: usize, pass: u64) -> Vec<Deviation<N>> {
         let chances = self.chances(levels[0].0);
         let (all, whole) = (chances.iter().sum::<f64>(), self.weights.weight.iter().sum::<f64>());
-        let mut random = Stream::new(hash_mix(self.seed, GRID));
+        let mut random = Stream::new(hash_mix(self.seed, GRID + 2 * pass));
         let drawn = spread(&chances, count, f64::from(random.unit()));
         let of = |sampler: &mut TexelSampler, (j, &texel): (usize, &usize)| {
-            let key = hash_mix(hash_mix(self.seed, GRID + 1), j as u64);
+            let key = hash_mix(hash_mix(self.seed, GRID + 2 * pass + 1), j as u64);
             let found = self.deviation(texel, levels, sampler, &mut Stream::new(key))?;
             let ratio = (self.weights.weight[texel] / whole) / (chances[texel] / all);
             Some(Deviation { texel, squares: found.squares.map(|s| s * ratio), noise: found.noise * ratio })
@@ -136,9 +139,9 @@ impl<'a> GridPoints<'a> {
         let (page, x, y) = texels.page_position(texel);
         let offset =
             (place - DVec2::new(f64::from(x), f64::from(y)) - 0.5).clamp(DVec2::splat(-0.5), DVec2::splat(0.5));
-        let smooth = [&self.smooth.odd, &self.smooth.even].map(|half| self.within(half, texel, offset.as_vec2()));
-        let edged = [0, 1].map(|_| self.edged(at, stream));
-        let truth = [smooth[0] + edged[0], smooth[1] + edged[1]];
+        let indirect = [&self.indirect.odd, &self.indirect.even].map(|half| self.within(half, texel, offset.as_vec2()));
+        let direct = [0, 1].map(|_| self.light.any_light(at, stream, &mut 0).stored);
+        let truth = [indirect[0] + direct[0], indirect[1] + direct[1]];
         let filtered = levels.map(|(pages, step)| bilinear(&pages[page], place / f64::from(step)));
         let square = |[mean, difference]: [Vec3; 2]| {
             let [odd, even] = [mean + difference - truth[0], mean - difference - truth[1]];
@@ -146,12 +149,6 @@ impl<'a> GridPoints<'a> {
         };
         let noise = f64::from(filtered[0][1].length_squared()) / 3.0;
         Some(Deviation { texel, squares: filtered.map(square), noise })
-    }
-
-    /// One sample of the light that may have edges at a point.
-    fn edged(&self, at: Receiver, stream: &mut Stream) -> Vec3 {
-        let light = self.light.any_light(at, stream, &mut 0);
-        if self.smooth_direct { light.stored - light.soft } else { light.stored }
     }
 
     /// Light inside a texel, `offset` texels from its middle, where the texels of its chart around it are means of a
@@ -249,22 +246,31 @@ pub struct Shown {
     pub percent: f64,
 }
 
-/// Error of what filtering shows of `pages`, whose texels are stated to err by `error`.
-pub fn shown_error(points: &GridPoints, pages: &[LightmapPage], error: &TexelError) -> Shown {
+/// Error of what filtering shows of `pages`, whose texels are stated to err by `error`. Points take `samples` direct
+/// samples, or somewhat more.
+pub fn shown_error(points: &GridPoints, pages: &[LightmapPage], error: &TexelError, samples: u64) -> Shown {
     if error.mean <= 0.0 {
         return Shown::default();
     }
     let count = (POINTS_PER_TEXEL * points.weights.weight.len()).min(MOST_POINTS);
-    let (mut square, mut noise) = (Moments::default(), Moments::default());
-    for d in points.deviations(&[(pages, 1)], count) {
-        square.add(d.squares[0] / error.mean.powi(2));
-        noise.add(d.noise / error.mean.powi(2));
-    }
-    let grid = square.percent(0.0);
+    let passes = (samples / (2 * count as u64).max(1)).clamp(1, MOST_PASSES);
     let others = (error.percent.powi(2) - error.sigma.powi(2)).max(0.0);
-    Shown {
-        grid,
-        resolution: 100.0 * square.deviation().sqrt(),
-        percent: (grid.powi(2) + noise.percent(0.0).powi(2) + others).sqrt(),
+    let (mut square, mut noise) = (Moments::default(), Moments::default());
+    let mut shown = Shown::default();
+    for pass in 0..passes {
+        for d in points.deviations(&[(pages, 1)], count, pass) {
+            square.add(d.squares[0] / error.mean.powi(2));
+            noise.add(d.noise / error.mean.powi(2));
+        }
+        let (grid, noise) = (square.percent(0.0), noise.percent(0.0));
+        shown = Shown {
+            grid,
+            resolution: 100.0 * square.deviation().sqrt(),
+            percent: (grid.powi(2) + noise.powi(2) + others).sqrt(),
+        };
+        if shown.resolution < RESOLVED * shown.percent {
+            break;
+        }
     }
+    shown
 }

@@ -114,11 +114,9 @@ impl Solver<'_, '_> {
             }
         });
         let missed = missed.collect();
-        let smooth_direct = soft.is_some();
         Ok(Solution {
             total,
-            smooth: soft.map_or_else(|| indirect.clone(), |soft| indirect.plus(&soft.halves)),
-            smooth_direct,
+            indirect,
             weights,
             error,
             meshes,

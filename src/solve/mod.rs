@@ -119,10 +119,8 @@ impl std::ops::Add for Squares {
 pub struct Solution {
     /// Irradiance (lux) of each texel of the map.
     pub total: Halves,
-    /// Of it what was smoothed over cells or looked up: light without edges within a texel, as far as is known.
-    pub smooth: Halves,
-    /// Whether soft direct light is a part of that.
-    pub smooth_direct: bool,
+    /// Of it reflected light.
+    pub indirect: Halves,
     /// Weights of the texels that are stored.
     pub weights: TexelWeights,
     /// Error of the whole.
