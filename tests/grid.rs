@@ -158,6 +158,7 @@ fn reflected_light_near_a_floor() {
         light: stage.light(&visibility, &open),
         weights: &TexelWeights::new(&stage.world, &stage.texels, &open),
         indirect: &Halves { odd: exact.clone(), even: exact.clone() },
+        whole: true,
         split: false,
     };
     let mut square = Moments::default();

@@ -10,7 +10,7 @@ use super::{LightmapPage, fill_gutters};
 use crate::accuracy::{Halves, Moments, TexelError, TexelWeights, spread};
 use crate::atlas::TexelSampler;
 use crate::light::TexelLight;
-use crate::options::{BakeOptions, DoubleSided, Normals};
+use crate::options::{BakeOptions, DoubleSided, Normals, TexelValue};
 use crate::sampling::{Stream, hash_mix};
 use crate::solve::{LightPath, Solution};
 use glam::{DVec2, Vec2, Vec3};
@@ -47,6 +47,8 @@ pub struct GridPoints<'a> {
     pub weights: &'a TexelWeights,
     /// Reflected light (lux): it has no edges within a texel.
     pub indirect: &'a Halves,
+    /// Whether texels are means over the whole of their surface, not its open part alone.
+    pub whole: bool,
     /// Whether backs have pages of their own, which are not looked at.
     pub split: bool,
 }
@@ -74,6 +76,7 @@ impl<'a> GridPoints<'a> {
             light: path.light(options.normals == Normals::Smooth),
             weights: &solution.weights,
             indirect: &solution.indirect,
+            whole: options.texel_value == TexelValue::Mean,
             split: options.double_sided == DoubleSided::Split,
         }
     }
@@ -125,23 +128,30 @@ impl<'a> GridPoints<'a> {
         stream: &mut Stream,
     ) -> Option<Deviation<N>> {
         let texels = self.light.texels;
-        if self.weights.weight[texel] <= 0.0 || (self.split && texels.texels[texel].back) {
+        // What is wholly buried shows nothing, or the light of what lies upon it.
+        let buried = self.light.open[texel] <= 0.0;
+        if self.weights.weight[texel] <= 0.0 || buried || (self.split && texels.texels[texel].back) {
             return None;
         }
         sampler.load(texels, texel);
-        let mut rays = 0;
         let mut draw = || {
             let u = Vec2::new(stream.unit(), stream.unit());
-            self.light.point(texel, sampler, u, &mut rays)
+            (sampler.sample(u), self.light.point(texel, sampler, u, &mut 0))
         };
-        let at = (0..DRAWS).find_map(|_| draw())?;
-        let place = texels.on_page(at.triangle, at.uv)?;
+        // What is covered is black where it belongs to its texel, and no part of it else.
+        let draws = if self.whole { 1 } else { DRAWS };
+        let ((triangle, uv), at) = (0..draws).map(|_| draw()).find(|(_, at)| self.whole || at.is_some())?;
+        let place = texels.on_page(triangle, uv)?;
         let (page, x, y) = texels.page_position(texel);
         let offset =
             (place - DVec2::new(f64::from(x), f64::from(y)) - 0.5).clamp(DVec2::splat(-0.5), DVec2::splat(0.5));
-        let indirect = [&self.indirect.odd, &self.indirect.even].map(|half| self.within(half, texel, offset.as_vec2()));
-        let direct = [0, 1].map(|_| self.light.any_light(at, stream, &mut 0).stored);
-        let truth = [indirect[0] + direct[0], indirect[1] + direct[1]];
+        let truth = at.map_or([Vec3::ZERO; 2], |at| {
+            let halves = [&self.indirect.odd, &self.indirect.even];
+            halves.map(|half| {
+                let direct = self.light.any_light(at, stream, &mut 0).stored;
+                direct + self.within(half, texel, offset.as_vec2())
+            })
+        });
         let filtered = levels.map(|(pages, step)| bilinear(&pages[page], place / f64::from(step)));
         let square = |[mean, difference]: [Vec3; 2]| {
             let [odd, even] = [mean + difference - truth[0], mean - difference - truth[1]];
@@ -154,11 +164,12 @@ impl<'a> GridPoints<'a> {
     /// Light inside a texel, `offset` texels from its middle, where the texels of its chart around it are means of a
     /// quadratic; a plane where one is missing.
     fn within(&self, half: &[Vec3], texel: usize, offset: Vec2) -> Vec3 {
+        let open = |id: usize| if self.whole { self.light.open[id] } else { 1.0 };
         let beside = |right: i32, down: i32| {
             let id = self.light.texels.beside(texel, [right, down])?;
-            self.weights.stored[id].then(|| half[id])
+            (self.weights.stored[id] && open(id) > 0.0).then(|| half[id] / open(id))
         };
-        let own = half[texel];
+        let own = half[texel] / open(texel).max(f32::MIN_POSITIVE);
         let along = |t: f32, before: Option<Vec3>, after: Option<Vec3>| match (before, after) {
             (Some(a), Some(b)) => {
                 let bend = a + b - 2.0 * own;
