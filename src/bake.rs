@@ -73,13 +73,13 @@ fn bake_here<'s>(scene: &'s Scene, options: &BakeOptions, observer: &mut dyn Obs
     let mut pilot = None;
     if let Some(unwrapping) = unwrapping.as_mut().filter(|_| options.adapts_density()) {
         observer.stage(Stage::Pilot);
-        let found = adapt_density(unwrapping, &visibility, &emitters, options, observer)?;
+        let found = adapt_density(unwrapping, &visibility, &emitters, options, clock.began, observer)?;
         laid_out.density = found.density;
         pilot = Some(found);
         seconds.pilot = clock.lap();
     }
     let mut atlas = match &unwrapping {
-        Some(unwrapping) => unwrapping.lay_out(&laid_out, &|| observer.cancelled())?,
+        Some(unwrapping) => laid_out_on_a_page(unwrapping, &mut laid_out, options, &|| observer.cancelled())?,
         None => atlas::build(scene, options, &|| observer.cancelled())?,
     };
     if let (Some(unwrapping), Density::Auto | Density::Even) = (&unwrapping, options.density) {
@@ -113,8 +113,10 @@ fn bake_here<'s>(scene: &'s Scene, options: &BakeOptions, observer: &mut dyn Obs
     let mut report = report(&world, &atlas, &texels, &open, &solution, &lighting, options);
     report.set_shown(&on_screen);
     report.skips.extend(pilot.filter(|p| p.share < 1.0).map(|p| {
-        let why = if options.target_shown_percent.is_some() { "meet the target of what is shown" } else { "do" };
-        format!("texels: {:.1} % of those that fit on a page {why}; --density even takes all", 100.0 * p.share)
+        format!(
+            "texels: {:.1} % of those that fit on a page were thought enough; --density even takes all",
+            100.0 * p.share
+        )
     }));
     report.warnings.extend(coincident_warning(&world, &parted));
     (report.work.emissive_triangles, report.work.lights) = emitters.counts();
@@ -137,6 +139,23 @@ fn bake_here<'s>(scene: &'s Scene, options: &BakeOptions, observer: &mut dyn Obs
     Ok(Bake { atlas, lightmap, report, lighting, world, accel, texels, solution })
 }
 
+/// An atlas as `laid_out` asks, or with the highest density of that kind where it would not fit on one page.
+fn laid_out_on_a_page(
+    unwrapping: &Unwrapping,
+    laid_out: &mut BakeOptions,
+    options: &BakeOptions,
+    cancelled: &(dyn Fn() -> bool + Sync),
+) -> Result<Atlas, BakeError> {
+    let found = unwrapping.lay_out(laid_out, cancelled);
+    let fits = found.as_ref().is_ok_and(|atlas| atlas.pages.len() == 1);
+    let foretold = laid_out.density != options.density && laid_out.density != Density::Even;
+    if !foretold || fits || cancelled() {
+        return found;
+    }
+    laid_out.density = Density::Even;
+    unwrapping.lay_out(laid_out, cancelled)
+}
+
 /// Times that a density is lowered for want of memory.
 const MEMORY_TRIES: u32 = 4;
 
@@ -149,12 +168,23 @@ fn within_memory(
     cancelled: &(dyn Fn() -> bool + Sync),
 ) -> Result<Atlas, BakeError> {
     let full = atlas.texels_per_metre;
+    // Memory is a part that remains, and one in proportion to the square of the density: none known yet.
+    let limit = options.memory_limit as f64;
+    let (mut remains, mut last) = (0.0, None);
     for _ in 0..MEMORY_TRIES {
-        let asked = atlas::memory_bytes(world, &atlas);
-        if asked <= options.memory_limit {
+        let (asked, square) = (atlas::memory_bytes(world, &atlas) as f64, atlas.texels_per_metre.powi(2));
+        if asked <= limit {
             break;
         }
-        let lower = MEMORY_MARGIN * (options.memory_limit as f64 / asked as f64).sqrt() * atlas.texels_per_metre;
+        if let Some((more, larger)) = last.replace((asked, square))
+            && larger > square
+        {
+            remains = (asked - square * (more - asked) / (larger - square)).clamp(0.0, asked);
+        }
+        if remains >= MEMORY_MARGIN * limit {
+            break;
+        }
+        let lower = (square * (MEMORY_MARGIN * limit - remains) / (asked - remains)).sqrt();
         let options = BakeOptions { density: Density::TexelsPerMetre(lower), ..options.clone() };
         atlas = unwrapping.lay_out(&options, cancelled)?;
         let share = 100.0 * (atlas.texels_per_metre / full).powi(2);

@@ -92,6 +92,7 @@ impl Lightmap {
             // What another side of the same place shows is left as it is.
             if (page.coverage[at] == 0.0 || solution.weights.stored[under]) && !(split && t.back) {
                 page.irradiance[at] = solution.total.mean(upon as usize).to_array();
+                page.half_difference[at] = solution.total.difference(upon as usize).to_array();
                 page.coverage[at] = t.coverage;
             }
         }

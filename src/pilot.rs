@@ -9,7 +9,7 @@ use crate::error::{BakeError, Warning};
 use crate::light::{Emitters, Visibility};
 use crate::lightmap::{GridPoints, Lightmap, coarser};
 use crate::observer::Observer;
-use crate::options::{Audits, BakeOptions, Density, Smoothing};
+use crate::options::{Audits, BakeOptions, Density, MAX_PAGES, Smoothing};
 use crate::solve::{Surface, solve};
 use std::time::Instant;
 
@@ -25,8 +25,12 @@ const GUTTER: u32 = 12;
 const TARGET: f64 = 5.0;
 const TARGETS: std::ops::RangeInclusive<f64> = 5.0..=30.0;
 
-/// Part of a time limit that this may take.
-const TIME_SHARE: f64 = 0.1;
+/// Part of a time limit that each look may take, and from which on there is none.
+const TIME_SHARE: f64 = 0.04;
+const TOO_LATE: f64 = 0.4;
+
+/// Part of a page that gutters may fill: beyond, there is little to share out.
+const MOST_GUTTERS: f64 = 0.5;
 
 /// Points that are looked at: so many for each texel, but no more than these in all.
 const POINTS_PER_TEXEL: usize = 8;
@@ -52,15 +56,22 @@ pub fn adapt_density(
     visibility: &Visibility,
     emitters: &Emitters,
     options: &BakeOptions,
+    began: Instant,
     observer: &mut dyn Observer,
 ) -> Result<Pilot, BakeError> {
     let world = visibility.world;
     let even = unwrapping.even_density(options);
+    let sizes = unwrapping.sizes(even, options);
+    let gutters: f64 = sizes.iter().map(|s| s.texels[2]).sum();
+    if gutters > MOST_GUTTERS * f64::from(options.max_texture).powi(2) {
+        return Ok(NOTHING);
+    }
     let coarse = BakeOptions {
         target_percent: (TARGET * options.target_percent).clamp(*TARGETS.start(), *TARGETS.end()),
         target_mesh_percent: Some(f64::MAX),
         time_limit: options.time_limit.map(|s| TIME_SHARE * s),
         gutter: GUTTER.min(options.max_texture / 4),
+        max_pages: MAX_PAGES,
         audit: Audits::Off,
         // Where direct light is smoothed, edges of shadows are not seen. That of a sky alone is too noisy else.
         smoothing: match options.smoothing {
@@ -71,29 +82,31 @@ pub fn adapt_density(
     };
     let BakeOptions { target_percent, target_shown_percent, .. } = *options;
     let goal = DensityGoal { target_percent, target_shown_percent };
-    let sizes = unwrapping.sizes(even, options);
     let mut factors = vec![1.0; sizes.len()];
-    let mut share = 1.0;
+    let mut found = NOTHING;
     for width in WIDTHS {
+        if options.time_limit.is_some_and(|limit| began.elapsed().as_secs_f64() > TOO_LATE * limit) {
+            break;
+        }
         let coarse = BakeOptions { density: Density::TexelsPerMetre(even / width), ..coarse.clone() };
         let atlas = match unwrapping.lay_out(&coarse, &|| observer.cancelled()) {
             Ok(atlas) => atlas,
             Err(BakeError::Cancelled) => return Err(BakeError::Cancelled),
-            Err(_) => return Ok(NOTHING),
+            Err(_) => break,
         };
         if check_memory(world, &atlas, options.memory_limit).is_err() {
-            return Ok(NOTHING);
+            break;
         }
         let places = unwrapping.places(&atlas);
-        let Some(falls) = falls(&atlas, &places, visibility, emitters, &coarse, observer)? else {
-            return Ok(NOTHING);
-        };
+        let Some(falls) = falls(&atlas, &places, visibility, emitters, &coarse, observer)? else { break };
         let pilot: Vec<f64> = factors.iter().map(|f| f / width).collect();
-        (factors, share) = chart_densities(&sizes, &falls, &pilot, goal);
-        unwrapping.set_densities(&factors);
+        let (chosen, share) = chart_densities(&sizes, &falls, &pilot, goal);
+        unwrapping.set_densities(&chosen);
+        factors = chosen;
+        let density = if share == 1.0 { Density::Even } else { Density::TexelsPerMetre(even) };
+        found = Pilot { density, share };
     }
-    let density = if share == 1.0 { Density::Even } else { Density::TexelsPerMetre(even) };
-    Ok(Pilot { density, share })
+    Ok(found)
 }
 
 /// How filtering errs more with wider texels, by the place of the chart; `places` are those of the charts of `atlas`. `None`
@@ -120,7 +133,7 @@ fn falls(
     let points = GridPoints::new(&path, &solution, options);
     let count = (POINTS_PER_TEXEL * surface.texels.mapped).min(MOST_POINTS);
     let mut falls = vec![GridFall::default(); places.iter().max().map_or(0, |p| p + 1)];
-    let weight = &solution.weights.weight;
+    let weight = points.weights();
     let all: f64 = weight.iter().sum();
     let place = |texel: usize| places[surface.texels.texels[texel].chart as usize];
     weight.iter().enumerate().for_each(|(i, w)| falls[place(i)].share += w / all);

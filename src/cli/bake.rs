@@ -159,6 +159,11 @@ fn to_json(path: &Path, report: &Report) -> Result<String, BakeError> {
 fn summary(r: &Report, folder: &Path) -> String {
     let verdict = match r.limit {
         None => format!("target {} % met", r.target_percent),
+        Some("texels") => format!(
+            "target {} % of what filtering shows NOT met: {:.2} %, with the texels that fit",
+            r.target_shown_percent.unwrap_or_default(),
+            r.shown_error_percent
+        ),
         Some(limit) => format!("target {} % NOT met: ended by {limit}", r.target_percent),
     };
     let audit = r.audit.as_ref().map_or(String::new(), |a| format!("{}\n", audit(a)));

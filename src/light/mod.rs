@@ -19,7 +19,7 @@ mod visibility;
 pub use emitters::{Emitters, LightSettings, PUNCTUAL_LOOP_LIMIT, SAMPLE_DIMENSIONS};
 pub use gather::{Allocation, Direct, Growth, LitPoint, START_SLOTS, StartSlot, TexelLight};
 pub use lighting::Lighting;
-pub use open::{COVER, cover_above, cover_height, cover_in_part, open_shares, shown_texels};
+pub use open::{COVER, cover_above, cover_height, cover_in_part, inside_solid, open_shares, shown_texels};
 pub use receiver::Receiver;
 pub use sky::SkySampler;
 pub use visibility::Visibility;

@@ -155,6 +155,12 @@ pub fn cover_above(visibility: &Visibility, at: &Receiver, height: f32) -> Optio
     visibility.opaque_above(at.origin, at.geometric_normal, height)
 }
 
+/// Whether a point of a texel of `area`, which is open in part and not covered there, is inside a solid. `random` gives
+/// random numbers.
+pub fn inside_solid(visibility: &Visibility, at: &Receiver, area: f32, mut random: impl FnMut() -> f32) -> bool {
+    (0..RAYS).all(|_| blind(visibility, at, Vec2::new(random(), random()), cover_height(area)))
+}
+
 /// Whether a ray meets a back, or a surface nearer than `cover`.
 fn blind(visibility: &Visibility, at: &Receiver, u: Vec2, cover: f32) -> bool {
     let direction = cosine_hemisphere(at.geometric_normal, u);

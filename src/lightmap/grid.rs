@@ -9,7 +9,7 @@
 use super::{LightmapPage, fill_gutters};
 use crate::accuracy::{Halves, Moments, TexelError, TexelWeights, spread};
 use crate::atlas::TexelSampler;
-use crate::light::TexelLight;
+use crate::light::{TexelLight, inside_solid};
 use crate::options::{BakeOptions, DoubleSided, Normals, TexelValue};
 use crate::sampling::{Stream, hash_mix};
 use crate::solve::{LightPath, Solution};
@@ -85,22 +85,40 @@ impl<'a> GridPoints<'a> {
     /// mean over all is that over the surface, by weight.
     /// `pass` sets their random numbers apart.
     pub fn deviations<const N: usize>(&self, levels: &[Level; N], count: usize, pass: u64) -> Vec<Deviation<N>> {
-        let chances = self.chances(levels[0].0);
-        let (all, whole) = (chances.iter().sum::<f64>(), self.weights.weight.iter().sum::<f64>());
+        let weights = self.weights();
+        let chances = self.chances(&weights, levels[0].0);
+        let (all, whole) = (chances.iter().sum::<f64>(), weights.iter().sum::<f64>());
         let mut random = Stream::new(hash_mix(self.seed, GRID + 2 * pass));
         let drawn = spread(&chances, count, f64::from(random.unit()));
         let of = |sampler: &mut TexelSampler, (j, &texel): (usize, &usize)| {
             let key = hash_mix(hash_mix(self.seed, GRID + 2 * pass + 1), j as u64);
             let found = self.deviation(texel, levels, sampler, &mut Stream::new(key))?;
-            let ratio = (self.weights.weight[texel] / whole) / (chances[texel] / all);
-            Some(Deviation { texel, squares: found.squares.map(|s| s * ratio), noise: found.noise * ratio })
+            Some((found, (weights[texel] / whole) / (chances[texel] / all)))
         };
-        drawn.par_iter().enumerate().map_init(TexelSampler::default, of).flatten().collect()
+        let found: Vec<(Deviation<N>, f64)> =
+            drawn.par_iter().enumerate().map_init(TexelSampler::default, of).flatten().collect();
+        // Some points are found to be no part of the surface.
+        let mean = found.iter().map(|f| f.1).sum::<f64>() / found.len().max(1) as f64;
+        let times = |d: &Deviation<N>, ratio: f64| Deviation {
+            texel: d.texel,
+            squares: d.squares.map(|s| s * ratio),
+            noise: d.noise * ratio,
+        };
+        found.iter().map(|(d, ratio)| times(d, ratio / mean)).collect()
+    }
+
+    /// Weights of the texels that are looked at: what is wholly buried shows nothing, or the light of what lies upon it.
+    pub fn weights(&self) -> Vec<f64> {
+        let of = |i: usize| {
+            let left_out = self.light.open[i] <= 0.0 || (self.split && self.light.texels.texels[i].back);
+            if left_out { 0.0 } else { self.weights.weight[i] }
+        };
+        (0..self.weights.weight.len()).map(of).collect()
     }
 
     /// How likely each texel is to be looked at: by its weight, by how far the texels around it differ from it, and by its
     /// light, since what is small has few around it.
-    fn chances(&self, pages: &[LightmapPage]) -> Vec<f64> {
+    fn chances(&self, weight: &[f64], pages: &[LightmapPage]) -> Vec<f64> {
         let texels = self.light.texels;
         let contrast = |texel: usize| {
             let (page, x, y) = texels.page_position(texel);
@@ -113,7 +131,6 @@ impl<'a> GridPoints<'a> {
             let contrast = squares.map(|(x, y)| (shown(x, y) - own).length_squared()).fold(0.0, f32::max);
             f64::from(contrast + OWN_SHARE * own.length_squared())
         };
-        let weight = &self.weights.weight;
         let of = |i: usize| if weight[i] > 0.0 { weight[i] * contrast(i) } else { 0.0 };
         let found: Vec<f64> = (0..weight.len()).into_par_iter().map(of).collect();
         let mean = found.iter().sum::<f64>() / weight.iter().sum::<f64>().max(f64::MIN_POSITIVE);
@@ -128,17 +145,18 @@ impl<'a> GridPoints<'a> {
         stream: &mut Stream,
     ) -> Option<Deviation<N>> {
         let texels = self.light.texels;
-        // What is wholly buried shows nothing, or the light of what lies upon it.
-        let buried = self.light.open[texel] <= 0.0;
-        if self.weights.weight[texel] <= 0.0 || buried || (self.split && texels.texels[texel].back) {
-            return None;
-        }
         sampler.load(texels, texel);
+        let in_part = self.light.open[texel] < 1.0;
         let mut draw = || {
             let u = Vec2::new(stream.unit(), stream.unit());
-            (sampler.sample(u), self.light.point(texel, sampler, u, &mut 0))
+            let at = self.light.point(texel, sampler, u, &mut 0);
+            let at = at.filter(|at| {
+                let area = texels.texels[texel].area;
+                !(in_part && inside_solid(self.light.visibility, at, area, || stream.unit()))
+            });
+            (sampler.sample(u), at)
         };
-        // What is covered is black where it belongs to its texel, and no part of it else.
+        // What is buried is black where it belongs to its texel, and no part of it else.
         let draws = if self.whole { 1 } else { DRAWS };
         let ((triangle, uv), at) = (0..draws).map(|_| draw()).find(|(_, at)| self.whole || at.is_some())?;
         let place = texels.on_page(triangle, uv)?;
@@ -264,11 +282,13 @@ pub fn shown_error(points: &GridPoints, pages: &[LightmapPage], error: &TexelErr
         return Shown::default();
     }
     let count = (POINTS_PER_TEXEL * points.weights.weight.len()).min(MOST_POINTS);
-    let passes = (samples / (2 * count as u64).max(1)).clamp(1, MOST_PASSES);
+    let most = (samples / (2 * count as u64).max(1)).clamp(1, MOST_PASSES);
+    // The bias of direct light that is smoothed counts twice, for filtered texels have it too.
     let others = (error.percent.powi(2) - error.sigma.powi(2)).max(0.0);
     let (mut square, mut noise) = (Moments::default(), Moments::default());
     let mut shown = Shown::default();
-    for pass in 0..passes {
+    let (mut pass, mut passes) = (0, 1);
+    while pass < passes {
         for d in points.deviations(&[(pages, 1)], count, pass) {
             square.add(d.squares[0] / error.mean.powi(2));
             noise.add(d.noise / error.mean.powi(2));
@@ -279,9 +299,12 @@ pub fn shown_error(points: &GridPoints, pages: &[LightmapPage], error: &TexelErr
             resolution: 100.0 * square.deviation().sqrt(),
             percent: (grid.powi(2) + noise.powi(2) + others).sqrt(),
         };
-        if shown.resolution < RESOLVED * shown.percent {
-            break;
+        if pass == 0 {
+            // Decided once: where it is asked again and again, what looks sure by chance would end it.
+            let wanted = (shown.resolution / (RESOLVED * shown.percent)).powi(4).ceil();
+            passes = (wanted.min(most as f64) as u64).max(1);
         }
+        pass += 1;
     }
     shown
 }

@@ -173,9 +173,11 @@ impl Solver<'_, '_> {
             let apart = self.direct_halves(true);
             let bias = soft.light.bias(tree, None, 1, |k| (weight[tree.elements[k].texel as usize], 0));
             let left = noise(&apart.plus(&soft.halves)) + bias[1].likely();
-            // The more samples there are, the less there is to gain.
             let gains = left < SMOOTH_GAIN * raw_noise;
-            self.smooths_direct = Some(gains);
+            // The more samples there are, the less there is to gain; but those of the first round tell little.
+            if gains || !self.history.is_empty() {
+                self.smooths_direct = Some(gains);
+            }
             if gains {
                 return DirectLight { apart, soft: Some(soft) };
             }

@@ -73,6 +73,11 @@ fn headline(r: &Report) -> String {
     );
     let verdict = match r.limit {
         None => format!("<span class=\"good\">target {} % met:</span> {reached}", r.target_percent),
+        Some("texels") => format!(
+            "<span class=\"bad\">target {} % of what filtering shows not met:</span> {} %; error of the texels {reached}",
+            r.target_shown_percent.unwrap_or_default(),
+            figures(r.shown_error_percent)
+        ),
         Some(limit) => {
             format!("<span class=\"bad\">target {} % not met, ended by {limit}:</span> {reached}", r.target_percent)
         }
