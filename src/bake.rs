@@ -107,7 +107,8 @@ fn bake_here<'s>(scene: &'s Scene, options: &BakeOptions, observer: &mut dyn Obs
     observer.stage(Stage::Finish);
     let lightmap = Lightmap::new(&world, &atlas, &surface.texels, &surface.shown, &solution, options);
     let points = GridPoints::new(&path, &solution, options);
-    let samples = (GRID_SHARE * solution.direct_samples as f64) as u64;
+    let late = solution.limit == Some("time-limit");
+    let samples = if late { 0 } else { (GRID_SHARE * solution.direct_samples as f64) as u64 };
     let on_screen = shown_error(&points, &lightmap.pages, &solution.error, samples);
     let Surface { texels, open, probe_rays, .. } = surface;
     let mut report = report(&world, &atlas, &texels, &open, &solution, &lighting, options);
