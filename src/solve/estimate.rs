@@ -25,8 +25,9 @@ const SMOOTH_WHILE: f64 = 0.35;
 /// ... from when it is more than this one, ...
 const SMOOTH_FROM: f64 = 0.7;
 
-/// ... and where less than this share of the squared error is left.
+/// ... and where less than this share of the squared error is left; once it is smoothed, less than this one.
 const SMOOTH_GAIN: f64 = 0.5;
+const SMOOTH_KEEP: f64 = 0.9;
 
 /// Direct light of all texels.
 struct DirectLight {
@@ -173,7 +174,8 @@ impl Solver<'_, '_> {
             let apart = self.direct_halves(true);
             let bias = soft.light.bias(tree, None, 1, |k| (weight[tree.elements[k].texel as usize], 0));
             let left = noise(&apart.plus(&soft.halves)) + bias[1].likely();
-            let gains = left < SMOOTH_GAIN * raw_noise;
+            let gain = if self.smooths_direct == Some(true) { SMOOTH_KEEP } else { SMOOTH_GAIN };
+            let gains = left < gain * raw_noise;
             // The more samples there are, the less there is to gain; but those of the first round tell little.
             if gains || !self.history.is_empty() {
                 self.smooths_direct = Some(gains);
