@@ -7,7 +7,7 @@ use crate::error::{BakeError, Warning};
 use crate::light::{Emitters, LightSettings, Lighting, Visibility};
 use crate::lightmap::{GridPoints, Lightmap, shown_error};
 use crate::observer::{Observer, Stage};
-use crate::options::{BakeOptions, Density, Lights, UvSource};
+use crate::options::{BakeOptions, Lights, UvSource};
 use crate::pilot::adapt_density;
 use crate::report::{AtlasSummary, Energy, Report, Seconds, Split, Work};
 use crate::scene::{Scene, SurfaceFlags, World};
@@ -69,22 +69,17 @@ fn bake_here<'s>(scene: &'s Scene, options: &BakeOptions, observer: &mut dyn Obs
     let visibility = Visibility::new(&world, &accel);
     let emitters =
         Emitters::new(&world, &lighting, LightSettings { indirect_only: options.lights == Lights::Indirect });
-    let mut laid_out = options.clone();
     let mut pilot = None;
     if let Some(unwrapping) = unwrapping.as_mut().filter(|_| options.adapts_density()) {
         observer.stage(Stage::Pilot);
-        let found = adapt_density(unwrapping, &visibility, &emitters, options, clock.began, observer)?;
-        laid_out.density = found.density;
-        pilot = Some(found);
+        pilot = Some(adapt_density(unwrapping, &visibility, &emitters, options, clock.began, observer)?);
         seconds.pilot = clock.lap();
     }
-    let mut atlas = match &unwrapping {
-        Some(unwrapping) => laid_out_on_a_page(unwrapping, &mut laid_out, options, &|| observer.cancelled())?,
+    let density = pilot.map_or(options.density, |p| p.density);
+    let atlas = match &unwrapping {
+        Some(unwrapping) => unwrapping.place(&world, density, options, &|| observer.cancelled())?,
         None => atlas::build(scene, options, &|| observer.cancelled())?,
     };
-    if let (Some(unwrapping), Density::Auto | Density::Even) = (&unwrapping, options.density) {
-        atlas = within_memory(unwrapping, atlas, &world, &laid_out, &|| observer.cancelled())?;
-    }
     drop(unwrapping);
     atlas::check_memory(&world, &atlas, options.memory_limit)?;
     seconds.atlas += clock.lap();
@@ -139,68 +134,6 @@ fn bake_here<'s>(scene: &'s Scene, options: &BakeOptions, observer: &mut dyn Obs
     report.warnings.iter().for_each(|w| observer.warn(w));
     Ok(Bake { atlas, lightmap, report, lighting, world, accel, texels, solution })
 }
-
-/// An atlas as `laid_out` asks, or with the highest density of that kind where it would not fit on one page.
-fn laid_out_on_a_page(
-    unwrapping: &Unwrapping,
-    laid_out: &mut BakeOptions,
-    options: &BakeOptions,
-    cancelled: &(dyn Fn() -> bool + Sync),
-) -> Result<Atlas, BakeError> {
-    let found = unwrapping.lay_out(laid_out, cancelled);
-    let fits = found.as_ref().is_ok_and(|atlas| atlas.pages.len() == 1);
-    let foretold = laid_out.density != options.density && laid_out.density != Density::Even;
-    if !foretold || fits || cancelled() {
-        return found;
-    }
-    laid_out.density = Density::Even;
-    unwrapping.lay_out(laid_out, cancelled)
-}
-
-/// Times that a density is lowered for want of memory.
-const MEMORY_TRIES: u32 = 4;
-
-/// `atlas`, or one with a density so low that a bake has memory enough.
-fn within_memory(
-    unwrapping: &Unwrapping,
-    mut atlas: Atlas,
-    world: &World,
-    options: &BakeOptions,
-    cancelled: &(dyn Fn() -> bool + Sync),
-) -> Result<Atlas, BakeError> {
-    let full = atlas.texels_per_metre;
-    // Memory is a part that remains, and one in proportion to the square of the density: none known yet.
-    let limit = options.memory_limit as f64;
-    let (mut remains, mut last) = (0.0, None);
-    for _ in 0..MEMORY_TRIES {
-        let (asked, square) = (atlas::memory_bytes(world, &atlas) as f64, atlas.texels_per_metre.powi(2));
-        if asked <= limit {
-            break;
-        }
-        if let Some((more, larger)) = last.replace((asked, square))
-            && larger > square
-        {
-            remains = (asked - square * (more - asked) / (larger - square)).clamp(0.0, asked);
-        }
-        if remains >= MEMORY_MARGIN * limit {
-            break;
-        }
-        let lower = (square * (MEMORY_MARGIN * limit - remains) / (asked - remains)).sqrt();
-        let options = BakeOptions { density: Density::TexelsPerMetre(lower), ..options.clone() };
-        atlas = unwrapping.lay_out(&options, cancelled)?;
-        let share = 100.0 * (atlas.texels_per_metre / full).powi(2);
-        let message = format!(
-            "texels: {share:.0} % of those that would do, for a bake with more takes over {} MiB; raise --memory-limit or \
-             lower --max-texture",
-            options.memory_limit >> 20
-        );
-        atlas.warnings.push(Warning::new("density-limited-by-memory", message));
-    }
-    Ok(atlas)
-}
-
-/// Part of the memory limit that a lower density is to take, which is rounded to whole texels.
-const MEMORY_MARGIN: f64 = 0.97;
 
 /// Direct samples, relative to those of the bake, that may tell what filtering shows.
 const GRID_SHARE: f64 = 0.03;

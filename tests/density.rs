@@ -87,3 +87,25 @@ fn threads_do_not_matter() {
     };
     assert!(with(1) == with(3));
 }
+
+#[test]
+fn fewer_texels_where_memory_is_short() {
+    let scene = scene();
+    let options = BakeOptions {
+        target_percent: 20.0,
+        max_texture: 256,
+        density: Density::Even,
+        audit: Audits::Off,
+        ..BakeOptions::default()
+    };
+    let full = bake(&scene, &options, &mut NoObserver).expect("the bake succeeds").report;
+    let limit = 20 << 20;
+    let less = bake(&scene, &BakeOptions { memory_limit: limit, ..options.clone() }, &mut NoObserver);
+    let less = less.expect("fewer texels do").report;
+    assert!(less.atlas.texels < full.atlas.texels && less.atlas.texels > full.atlas.texels / 8);
+    assert!(less.warnings.iter().any(|w| w.code == "density-limited-by-memory"), "{:?}", less.warnings);
+    // What was asked for in numbers is refused.
+    let asked = Density::TexelsPerMetre(full.atlas.texels_per_metre);
+    let refused = bake(&scene, &BakeOptions { memory_limit: limit, density: asked, ..options }, &mut NoObserver);
+    assert!(refused.is_err_and(|e| e.to_string().contains("--memory-limit")));
+}

@@ -12,6 +12,7 @@ mod layout;
 mod memory;
 mod pack;
 mod pieces;
+mod place;
 mod planar;
 mod sampler;
 mod select;

@@ -152,7 +152,7 @@ impl Texels {
         (page, local % self.page_width[page], local / self.page_width[page])
     }
 
-    /// Where a point of a triangle lies on its page [texels]; `None` where the triangle has no texel.
+    /// Where a point of a triangle lies on its page (texels); `None` where the triangle has no texel.
     pub fn on_page(&self, triangle: u32, uv: Vec2) -> Option<DVec2> {
         let t = &self.triangles[triangle as usize];
         let (uv, [a, b, c]) = (uv.as_dvec2(), t.corners.map(|c| c.as_dvec2()));
