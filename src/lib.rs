@@ -50,6 +50,7 @@ pub mod pilot;
 pub mod lightmap;
 pub mod output;
 
+mod bisect;
 pub mod error;
 pub mod observer;
 pub mod options;

@@ -37,6 +37,25 @@ use crate::atlas::{Atlas, Texels};
 use crate::options::BakeOptions;
 use crate::scene::World;
 use crate::solve::Solution;
+use glam::{DVec2, Vec3};
+
+impl LightmapPage {
+    /// What a bilinear filter shows of `values`, one per texel of this page, at texel coordinates `at`, clamped to the
+    /// page; `None` where the page lacks texels or `at` is not finite.
+    pub fn filtered(&self, values: &[[f32; 3]], at: DVec2) -> Option<Vec3> {
+        let (width, height) = (self.width as usize, self.height as usize);
+        if values.is_empty() || values.len() != width * height || !at.is_finite() {
+            return None;
+        }
+        let at = (at - 0.5).clamp(DVec2::ZERO, DVec2::new((width - 1) as f64, (height - 1) as f64));
+        let (x, y) = (at.x as usize, at.y as usize);
+        let t = (at - at.floor()).as_vec2();
+        let fetch = |x: usize, y: usize| Vec3::from(values[y.min(height - 1) * width + x.min(width - 1)]);
+        let top = fetch(x, y).lerp(fetch(x + 1, y), t.x);
+        let bottom = fetch(x, y + 1).lerp(fetch(x + 1, y + 1), t.x);
+        Some(top.lerp(bottom, t.y))
+    }
+}
 
 impl Lightmap {
     /// The maps of a solution: stored sides on their pages, buried texels and gutters filled from around. `shown` is
@@ -98,5 +117,20 @@ impl Lightmap {
         }
         pages.iter_mut().for_each(|p| fill_gutters(p, atlas.gutter));
         Lightmap { pages }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use glam::Vec2;
+
+    #[test]
+    fn filtering_hits_texel_centres_and_clamps_at_the_border() {
+        let page = LightmapPage { width: 2, height: 1, ..Default::default() };
+        let values = [[0.0; 3], [1.0; 3]];
+        let at = |x: f32| page.filtered(&values, Vec2::new(x, 0.7).as_dvec2()).map(|v| v.x);
+        assert_eq!([at(-3.0), at(0.5), at(1.0), at(1.5), at(9.0)], [0.0, 0.0, 0.5, 1.0, 1.0].map(Some));
+        assert_eq!(at(f32::NAN), None);
     }
 }

@@ -1,11 +1,11 @@
-//! 3. A look at the light before charts get their places: where texels are needed.
+//! A look at the light before charts get their places: where texels are needed.
 //!
 //! In: charts. Out: a density for each. A bake with wide texels and a coarse target tells how much worse filtering
 //! becomes in each chart with wider ones still.
 
 use crate::accuracy::{DensityGoal, GridFall, TexelWeights, chart_densities};
 use crate::atlas::{Atlas, Texels, Unwrapping, check_memory};
-use crate::error::{BakeError, Warning};
+use crate::error::BakeError;
 use crate::light::{Emitters, Visibility};
 use crate::lightmap::{GridPoints, Lightmap, coarser};
 use crate::observer::Observer;
@@ -123,7 +123,7 @@ fn falls(
     let surface = Surface::new(Texels::new(world, atlas), atlas, visibility, options);
     let path = surface.path(emitters, visibility);
     let weights = TexelWeights::of_values(world, &surface.texels, &surface.open, options.texel_value);
-    let solution = solve(path, weights, options, Instant::now(), &mut Unseen(observer))?;
+    let solution = solve(path, weights, options, Instant::now(), &mut Muted(observer))?;
     if solution.error.mean <= 0.0 {
         return Ok(None);
     }
@@ -137,7 +137,7 @@ fn falls(
     let all: f64 = weight.iter().sum();
     let place = |texel: usize| places[surface.texels.texels[texel].chart as usize];
     weight.iter().enumerate().for_each(|(i, w)| falls[place(i)].share += w / all);
-    for d in points.deviations(&[(&pages, 1), (&twice, 2), (&four_times, 4)], count, 0) {
+    for d in points.deviations(&[(&pages, 1), (&twice, 2), (&four_times, 4)], count, 0..1) {
         let [one, two, four] = d.squares.map(|s| s / solution.error.mean.powi(2));
         let chart = &mut falls[place(d.texel)];
         chart.own.add(one);
@@ -148,12 +148,10 @@ fn falls(
 }
 
 /// Passes on whether to stop, and nothing else: what a pilot finds is not the bake's.
-struct Unseen<'a>(&'a mut dyn Observer);
+struct Muted<'a>(&'a mut dyn Observer);
 
-impl Observer for Unseen<'_> {
+impl Observer for Muted<'_> {
     fn cancelled(&self) -> bool {
         self.0.cancelled()
     }
-
-    fn warn(&mut self, _: &Warning) {}
 }

@@ -93,12 +93,14 @@ fn it_says_what_was_reached() {
         assert_eq!(html.matches("<circle").count(), rounds);
         assert_eq!(html.matches("class=\"forecast\"").count(), rounds);
 
+        bake.report.audit = None;
         bake.report.limit = Some("time-limit");
         bake.report.history.clear();
         bake.report.warnings.push(evenlight::Warning::new("odd", "a <i> & b"));
         let html = report_html::html(bake).expect("a report");
         tags(&html);
         assert!(html.contains("target 3 % not met, ended by time-limit:"));
+        assert!(html.contains("not estimated"), "without an audit");
         assert!(html.contains("<li>a &lt;i&gt; &amp; b"));
         assert!(!html.contains("<svg"));
     });

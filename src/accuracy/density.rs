@@ -7,6 +7,7 @@
 
 use super::interval::Moments;
 use crate::atlas::ChartSize;
+use crate::bisect::bisected;
 
 /// How filtering errs more in one chart with wider texels, at points of which each stands for the same part of the error
 /// over all. Squares relative to that of the mean irradiance.
@@ -163,12 +164,8 @@ fn spent(choices: &[Vec<Choice>], budget: f64) -> Vec<Choice> {
         choices.iter().map(best).collect()
     };
     // Powers of two of the price of a texel.
-    let (mut cheap, mut dear) = (-80.0, 20.0);
-    for _ in 0..40 {
-        let middle = 0.5 * (cheap + dear);
-        let texels: f64 = choose(libm::exp2(middle)).iter().map(|c| c.texels).sum();
-        if texels > budget { cheap = middle } else { dear = middle }
-    }
+    let texels = |price: f64| choose(libm::exp2(price)).iter().map(|c| c.texels).sum::<f64>();
+    let (_, dear) = bisected(-80.0, 20.0, 40, |price| texels(price) > budget);
     choose(libm::exp2(dear))
 }
 

@@ -1,5 +1,7 @@
 //! How much more light it takes.
 
+use crate::bisect::bisected;
+
 /// The squared error of light smoothed over cells falls as photons^-this: cells shrink as photons get more, so that
 /// noise and bias fall together (-2/3 for smooth light, -1/2 at kinks; measured -0.5 to -0.7).
 pub(super) const SMOOTH_FALL: f64 = 0.6;
@@ -43,11 +45,7 @@ pub fn cheapest_growth(spent: &Spent, needed: f64) -> (f64, f64) {
     let error = |(x, y): (f64, f64)| direct / x + soft * smooth(x) + indirect * smooth(y);
     // By logarithms, for prices span many orders of magnitude.
     let scale = (direct_cost + photon_cost) / (direct + soft + indirect);
-    let (mut low, mut high) = (-40.0, 80.0);
-    for _ in 0..60 {
-        let middle = 0.5 * (low + high);
-        if error(growth(scale * libm::exp2(middle))) > goal { low = middle } else { high = middle }
-    }
+    let (_, high) = bisected(-40.0, 80.0, 60, |price| error(growth(scale * libm::exp2(price))) > goal);
     growth(scale * libm::exp2(high))
 }
 

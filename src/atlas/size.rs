@@ -3,6 +3,7 @@
 use super::Atlas;
 use super::density::Unit;
 use super::layout::Unwrapping;
+use crate::bisect::bisected;
 use crate::options::BakeOptions;
 
 /// Part of a page that charts and their gutters fill.
@@ -45,10 +46,7 @@ impl Unwrapping<'_> {
         while short(high) && high < 1e9 {
             (low, high) = (high, 2.0 * high);
         }
-        for _ in 0..40 {
-            let middle = 0.5 * (low + high);
-            if short(middle) { low = middle } else { high = middle }
-        }
+        (low, high) = bisected(low, high, 40, short);
         0.5 * (low + high)
     }
 

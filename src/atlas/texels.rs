@@ -75,6 +75,15 @@ pub struct Texels {
     page_width: Vec<u32>,
 }
 
+/// Where a texel lies on its page, and the texels of its side there, row by row.
+struct Beside<'a> {
+    x: u32,
+    y: u32,
+    width: u32,
+    height: u32,
+    ids: &'a [u32],
+}
+
 /// A piece found by the rasteriser.
 #[derive(Clone, Copy)]
 struct Fragment {
@@ -161,30 +170,29 @@ impl Texels {
 
     /// The texel of the same chart and side so many columns and rows beside a texel on the map.
     pub fn beside(&self, texel: usize, [right, down]: [i32; 2]) -> Option<usize> {
-        let (page, x, y) = self.page_position(texel);
-        let (base, width) = (self.page_base[page], self.page_width[page]);
-        let end = self.page_base.get(page + 1).copied().unwrap_or(self.mapped_cells);
+        let Beside { x, y, width, height, ids } = self.page_of(texel);
         let (x, y) = (x.checked_add_signed(right)?, y.checked_add_signed(down)?);
-        if x >= width || y >= (end - base) / width {
-            return None;
-        }
-        let t = &self.texels[texel];
-        let table = if t.back { &self.back } else { &self.front };
-        let id = table[(base + y * width + x) as usize];
-        (id != NO_TEXEL && self.texels[id as usize].chart == t.chart).then_some(id as usize)
+        let id = if x < width && y < height { ids[(y * width + x) as usize] } else { NO_TEXEL };
+        (id != NO_TEXEL && self.texels[id as usize].chart == self.texels[texel].chart).then_some(id as usize)
     }
 
     /// The texels of the same side at the eight cells around a texel on the map.
     pub fn around(&self, texel: usize) -> impl Iterator<Item = usize> + '_ {
+        let Beside { x, y, width, height, ids } = self.page_of(texel);
+        let columns = x.saturating_sub(1)..(x + 2).min(width);
+        let rows = y.saturating_sub(1)..(y + 2).min(height);
+        rows.flat_map(move |y| columns.clone().map(move |x| ids[(y * width + x) as usize]))
+            .filter(move |&t| t != NO_TEXEL && t as usize != texel)
+            .map(|t| t as usize)
+    }
+
+    /// The page around a texel on the map.
+    fn page_of(&self, texel: usize) -> Beside<'_> {
         let (page, x, y) = self.page_position(texel);
         let (base, width) = (self.page_base[page], self.page_width[page]);
         let end = self.page_base.get(page + 1).copied().unwrap_or(self.mapped_cells);
         let table = if self.texels[texel].back { &self.back } else { &self.front };
-        let columns = x.saturating_sub(1)..(x + 2).min(width);
-        let rows = y.saturating_sub(1)..(y + 2).min((end - base) / width);
-        rows.flat_map(move |y| columns.clone().map(move |x| table[(base + y * width + x) as usize]))
-            .filter(move |&t| t != NO_TEXEL && t as usize != texel)
-            .map(|t| t as usize)
+        Beside { x, y, width, height: (end - base) / width, ids: &table[base as usize..end as usize] }
     }
 
     /// The pieces of a texel.

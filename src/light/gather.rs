@@ -5,6 +5,7 @@ use super::open::{cover_above, cover_in_part};
 use super::receiver::Receiver;
 use super::visibility::Visibility;
 use crate::atlas::{TexelSampler, Texels};
+use crate::bisect::bisected;
 use crate::sampling::{DIMENSIONS, Stream, hash_mix, hash_seed, sobol, unit_f32};
 use crate::scene::SurfaceFlags;
 use glam::{Vec2, Vec3};
@@ -294,7 +295,7 @@ impl Direct {
             while short(high) && high < 1e12 {
                 high *= 4.0;
             }
-            let (low, high) = bisected(high, 24, short);
+            let (low, high) = bisected(0.0, high, 24, short);
             // Texels that all wish the same get nothing by the smaller.
             let scale = if more(low) > 0 { low } else { high };
             wished.iter().map(|w| more_samples(w, scale) as u32).collect()
@@ -326,7 +327,7 @@ impl Direct {
             let all: f64 = wished.iter().map(|w| w.1).sum();
             let budget = ((growth.factor - 1.0) * all).min(MAX_SAMPLES * wished.len() as f64 - all);
             let short = |scale: f64| wished.iter().map(|w| more(w, scale)).sum::<f64>() < budget;
-            let (_, scale) = bisected(MAX_SAMPLES / LEAST_SHARE.sqrt(), 40, short);
+            let (_, scale) = bisected(0.0, MAX_SAMPLES / LEAST_SHARE.sqrt(), 40, short);
             wished.iter().map(|w| more(w, scale)).collect()
         };
         let found: Vec<Vec<f64>> = growth.par_iter().map(of).collect();
@@ -374,16 +375,6 @@ impl Direct {
         self.steering += steering;
         self.rays += rays;
     }
-}
-
-/// What lies between 0 and `high`, of where `short` ends to hold: the ends of the interval after so many halvings.
-fn bisected(mut high: f64, steps: u32, short: impl Fn(f64) -> bool) -> (f64, f64) {
-    let mut low = 0.0;
-    for _ in 0..steps {
-        let middle = 0.5 * (low + high);
-        if short(middle) { low = middle } else { high = middle }
-    }
-    (low, high)
 }
 
 /// Square roots of `noise`, relative to the mean.

@@ -15,6 +15,7 @@ use crate::sampling::{Stream, hash_mix};
 use crate::solve::{LightPath, Solution};
 use glam::{DVec2, Vec2, Vec3};
 use rayon::prelude::*;
+use std::ops::Range;
 
 /// Points: so many for each texel, but no more than these in all.
 const POINTS_PER_TEXEL: usize = 8;
@@ -81,30 +82,38 @@ impl<'a> GridPoints<'a> {
         }
     }
 
-    /// Deviations of `levels` at `count` points, more of them where neighbouring texels of the map in `pages` differ: the
-    /// mean over all is that over the surface, by weight.
-    /// `pass` sets their random numbers apart.
-    pub fn deviations<const N: usize>(&self, levels: &[Level; N], count: usize, pass: u64) -> Vec<Deviation<N>> {
+    /// Deviations of `levels` at `count` points in each of `passes`, which sets their random numbers apart; more of them
+    /// where neighbouring texels of the finest level differ: the mean over all of a pass is that over the surface, by weight.
+    pub fn deviations<const N: usize>(
+        &self,
+        levels: &[Level; N],
+        count: usize,
+        passes: Range<u64>,
+    ) -> Vec<Deviation<N>> {
         let weights = self.weights();
         let chances = self.chances(&weights, levels[0].0);
         let (all, whole) = (chances.iter().sum::<f64>(), weights.iter().sum::<f64>());
-        let mut random = Stream::new(hash_mix(self.seed, GRID + 2 * pass));
-        let drawn = spread(&chances, count, f64::from(random.unit()));
-        let of = |sampler: &mut TexelSampler, (j, &texel): (usize, &usize)| {
-            let key = hash_mix(hash_mix(self.seed, GRID + 2 * pass + 1), j as u64);
-            let found = self.deviation(texel, levels, sampler, &mut Stream::new(key))?;
-            Some((found, (weights[texel] / whole) / (chances[texel] / all)))
-        };
-        let found: Vec<(Deviation<N>, f64)> =
-            drawn.par_iter().enumerate().map_init(TexelSampler::default, of).flatten().collect();
-        // Some points are found to be no part of the surface.
-        let mean = found.iter().map(|f| f.1).sum::<f64>() / found.len().max(1) as f64;
-        let times = |d: &Deviation<N>, ratio: f64| Deviation {
-            texel: d.texel,
-            squares: d.squares.map(|s| s * ratio),
-            noise: d.noise * ratio,
-        };
-        found.iter().map(|(d, ratio)| times(d, ratio / mean)).collect()
+        let mut out = Vec::with_capacity(count * (passes.end - passes.start) as usize);
+        for pass in passes {
+            let mut random = Stream::new(hash_mix(self.seed, GRID + 2 * pass));
+            let drawn = spread(&chances, count, f64::from(random.unit()));
+            let of = |sampler: &mut TexelSampler, (j, &texel): (usize, &usize)| {
+                let key = hash_mix(hash_mix(self.seed, GRID + 2 * pass + 1), j as u64);
+                let found = self.deviation(texel, levels, sampler, &mut Stream::new(key))?;
+                Some((found, (weights[texel] / whole) / (chances[texel] / all)))
+            };
+            let found: Vec<(Deviation<N>, f64)> =
+                drawn.par_iter().enumerate().map_init(TexelSampler::default, of).flatten().collect();
+            // Some points are found to be no part of the surface.
+            let mean = found.iter().map(|f| f.1).sum::<f64>() / found.len().max(1) as f64;
+            let times = |d: &Deviation<N>, ratio: f64| Deviation {
+                texel: d.texel,
+                squares: d.squares.map(|s| s * ratio),
+                noise: d.noise * ratio,
+            };
+            out.extend(found.iter().map(|(d, ratio)| times(d, ratio / mean)));
+        }
+        out
     }
 
     /// Weights of the texels that are looked at: what is wholly buried shows nothing, or the light of what lies upon it.
@@ -170,7 +179,11 @@ impl<'a> GridPoints<'a> {
                 direct + self.within(half, texel, offset.as_vec2())
             })
         });
-        let filtered = levels.map(|(pages, step)| bilinear(&pages[page], place / f64::from(step)));
+        let filtered = levels.map(|(pages, step)| {
+            let page = &pages[page];
+            let shown = |values: &[[f32; 3]]| page.filtered(values, place / f64::from(step)).unwrap_or_default();
+            [shown(&page.irradiance), shown(&page.half_difference)]
+        });
         let square = |[mean, difference]: [Vec3; 2]| {
             let [odd, even] = [mean + difference - truth[0], mean - difference - truth[1]];
             f64::from(odd.dot(even)) / 3.0
@@ -246,24 +259,6 @@ pub fn coarser(page: &LightmapPage) -> LightmapPage {
     out
 }
 
-/// Irradiance and half the difference of its halves as a filter shows them at `place` of a page [texels], which repeats
-/// its border.
-fn bilinear(page: &LightmapPage, place: DVec2) -> [Vec3; 2] {
-    let from = place - 0.5;
-    let (corner, t) = (from.floor(), (from - from.floor()).as_vec2());
-    let (mut mean, mut difference) = (Vec3::ZERO, Vec3::ZERO);
-    for (dx, wx) in [(0, 1.0 - t.x), (1, t.x)] {
-        for (dy, wy) in [(0, 1.0 - t.y), (1, t.y)] {
-            let x = (corner.x as i64 + dx).clamp(0, i64::from(page.width) - 1) as usize;
-            let y = (corner.y as i64 + dy).clamp(0, i64::from(page.height) - 1) as usize;
-            let i = y * page.width as usize + x;
-            mean += Vec3::from(page.irradiance[i]) * (wx * wy);
-            difference += Vec3::from(page.half_difference[i]) * (wx * wy);
-        }
-    }
-    [mean, difference]
-}
-
 /// Error of what filtering shows. Percent of the mean irradiance.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
 pub struct Shown {
@@ -286,25 +281,18 @@ pub fn shown_error(points: &GridPoints, pages: &[LightmapPage], error: &TexelErr
     // The bias of direct light that is smoothed counts twice, for filtered texels have it too.
     let others = (error.percent.powi(2) - error.sigma.powi(2)).max(0.0);
     let (mut square, mut noise) = (Moments::default(), Moments::default());
-    let mut shown = Shown::default();
-    let (mut pass, mut passes) = (0, 1);
-    while pass < passes {
-        for d in points.deviations(&[(pages, 1)], count, pass) {
+    let mut look = |passes: Range<u64>| {
+        for d in points.deviations(&[(pages, 1)], count, passes) {
             square.add(d.squares[0] / error.mean.powi(2));
             noise.add(d.noise / error.mean.powi(2));
         }
         let (grid, noise) = (square.percent(0.0), noise.percent(0.0));
-        shown = Shown {
-            grid,
-            resolution: 100.0 * square.deviation().sqrt(),
-            percent: (grid.powi(2) + noise.powi(2) + others).sqrt(),
-        };
-        if pass == 0 {
-            // Decided once: where it is asked again and again, what looks sure by chance would end it.
-            let wanted = (shown.resolution / (RESOLVED * shown.percent)).powi(4).ceil();
-            passes = (wanted.min(most as f64) as u64).max(1);
-        }
-        pass += 1;
-    }
-    shown
+        let percent = (grid.powi(2) + noise.powi(2) + others).sqrt();
+        Shown { grid, resolution: 100.0 * square.deviation().sqrt(), percent }
+    };
+    let first = look(0..1);
+    // Decided once: where it is asked again and again, what looks sure by chance would end it.
+    let wanted = (first.resolution / (RESOLVED * first.percent)).powi(4).ceil();
+    let passes = wanted.min(most as f64) as u64;
+    if passes > 1 { look(1..passes) } else { first }
 }

@@ -33,7 +33,7 @@ impl Solver<'_, '_> {
             total: &solution.total,
             weights: &solution.weights,
             whole: self.options.texel_value == TexelValue::Mean,
-            crevice: self.path.crevice,
+            crevice: self.path.surface.crevice,
         };
         let go_on = || !self.observer.cancelled() && !self.out_of_time();
         let audit = auditor.run(effort, &solution.error, self.options.target_percent, &go_on);

@@ -1,7 +1,7 @@
 //! What is known after a round: the irradiance of every texel, and how far it is from the truth.
 
 use super::light::{Smooth, scattered};
-use super::{LightPath, Solution, Solver, Squares};
+use super::{LightPath, Solution, Solver, Squares, Surface};
 use crate::accuracy::{Halves, Known, Missed, TexelWeights, mesh_errors, texel_error};
 use crate::atlas::NO_CHART;
 use crate::cell::{Bias, NO_CELL};
@@ -50,7 +50,7 @@ impl Solver<'_, '_> {
     /// # Errors
     /// [`BakeError::Cancelled`].
     pub(super) fn solution(&mut self) -> Result<Solution, BakeError> {
-        let LightPath { open, tree, visibility, .. } = self.path;
+        let LightPath { surface: Surface { open, tree, .. }, visibility, .. } = self.path;
         let instances = visibility.world.scene.instances.len();
         let caught = self.caught();
         let mut found = self.reconstruct(&caught);
@@ -149,7 +149,7 @@ impl Solver<'_, '_> {
 
     /// Direct light, smoothed over cells where that is surely better than what the samples of each texel tell alone.
     fn direct_light(&mut self, indirect: &Halves) -> DirectLight {
-        let LightPath { tree, .. } = self.path;
+        let Surface { tree, .. } = self.path.surface;
         let raw = self.direct_halves(false);
         let weight = &self.weights.weight;
         let noise = |halves: &Halves| -> f64 {
@@ -233,7 +233,7 @@ impl Solver<'_, '_> {
     fn gather_noise(&self, weights: &TexelWeights) -> Vec<f64> {
         let mut sums = vec![0.0; self.gathered.len()];
         // In the order of the texels, so that the sums have the same bits on every run.
-        for e in self.path.tree.elements.iter().filter(|_| !self.kept.is_empty()) {
+        for e in self.path.surface.tree.elements.iter().filter(|_| !self.kept.is_empty()) {
             let i = e.texel as usize;
             if let Some(halves) = weights.weight.get(i).and_then(|_| self.kept.get(&e.texel)) {
                 let variance = halves.iter().map(|g| f64::from(g.variance)).sum::<f64>() / 4.0;
@@ -245,7 +245,7 @@ impl Solver<'_, '_> {
 
     /// Weights with the sides that are not stored set to 0.
     fn stored_weights(&self, total: &Halves) -> TexelWeights {
-        let texels = &self.path.texels.texels[..self.path.texels.mapped];
+        let texels = &self.path.surface.texels.texels[..self.path.surface.texels.mapped];
         let mut weights = self.weights.clone();
         match self.options.double_sided {
             DoubleSided::Split => {}
@@ -258,7 +258,7 @@ impl Solver<'_, '_> {
                 let mut received = vec![[0f64; 2]; charts];
                 for (i, t) in texels.iter().enumerate() {
                     received[t.chart as usize][usize::from(t.back)] +=
-                        f64::from(t.area) * f64::from(total.mean(self.path.shown[i] as usize).element_sum());
+                        f64::from(t.area) * f64::from(total.mean(self.path.surface.shown[i] as usize).element_sum());
                 }
                 for (i, t) in texels.iter().enumerate() {
                     let [front, back] = received[t.chart as usize];

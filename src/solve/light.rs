@@ -1,7 +1,7 @@
 //! The light of every texel as it stands after a round: direct light from samples, the soft part of it and that of
 //! photons smoothed over cells, or gathered.
 
-use super::{LightPath, Solver};
+use super::{LightPath, Solver, Surface};
 use crate::accuracy::{GATHER_AGAIN, Halves};
 use crate::cell::{Bias, Caught, Element, Gather, NO_CELL, Node, Reconstruction, Samples, SurfaceTree, bias, refined};
 use crate::error::BakeError;
@@ -16,7 +16,7 @@ const GATHER_CHUNK: usize = 4096;
 impl Solver<'_, '_> {
     /// Direct light by the samples of each texel alone, without the soft part of it where that is smoothed.
     pub(super) fn direct_halves(&self, smoothed: bool) -> Halves {
-        let (direct, open) = (&self.direct, self.path.open);
+        let (direct, open) = (&self.direct, &self.path.surface.open);
         let whole = self.options.texel_value == TexelValue::Mean;
         let light = |h, i| direct.stored(h, i) - if smoothed { direct.soft(h, i) } else { Vec3::ZERO };
         let half = |h| {
@@ -30,7 +30,7 @@ impl Solver<'_, '_> {
 
     /// Light of surfaces and of the sky, smoothed over cells as if photons had brought it; `None` where it has no noise.
     pub(super) fn soft_light(&self) -> Option<Smooth> {
-        let LightPath { tree, texels, visibility, .. } = self.path;
+        let LightPath { surface: Surface { tree, texels, .. }, visibility, .. } = self.path;
         if self.options.smoothing != Smoothing::Cells {
             return None;
         }
@@ -61,7 +61,7 @@ impl Solver<'_, '_> {
 
     /// All light that is smoothed, with that of the photons where nothing is gathered.
     pub(super) fn smoothed(&self, caught: &[Caught; 2], found: &Reconstruction, soft: Option<&Smooth>) -> Smoothed {
-        let elements = &self.path.tree.elements;
+        let elements = &self.path.surface.tree.elements;
         let by_photons = |k: usize| {
             let instance = self.weights.instance[elements[k].texel as usize];
             if self.has_gathered(instance as usize) { 0.0 } else { 1.0 }
@@ -81,7 +81,7 @@ impl Solver<'_, '_> {
 
     /// Flux that each element caught, in two halves.
     pub(super) fn caught(&self) -> [Caught; 2] {
-        let elements = &self.path.tree.elements;
+        let elements = &self.path.surface.tree.elements;
         let per_photon = self.flux.map_or(0.0, |f| f.unit / self.photons.max(1) as f64);
         let [odd, even] = self.start_totals();
         let photon = odd.max(even) / self.photons.max(1) as f64;
@@ -95,7 +95,7 @@ impl Solver<'_, '_> {
 
     /// Irradiance of the elements from what they caught.
     pub(super) fn reconstruct(&self, caught: &[Caught; 2]) -> Reconstruction {
-        let LightPath { tree, visibility, .. } = self.path;
+        let LightPath { surface: Surface { tree, .. }, visibility, .. } = self.path;
         let caught = [&caught[0], &caught[1]];
         match self.options.smoothing {
             Smoothing::Cells | Smoothing::Indirect => Reconstruction::new(tree, caught, visibility.accel),
@@ -107,7 +107,7 @@ impl Solver<'_, '_> {
     /// none that is not done.
     pub(super) fn gather(&mut self, found: &mut Reconstruction) -> Result<(), BakeError> {
         let started = Instant::now();
-        let LightPath { tree, open, .. } = self.path;
+        let Surface { tree, open, .. } = self.path.surface;
         let Some(starts) = self.starts.as_ref().filter(|_| self.gathered.iter().any(|&n| n > 0)) else { return Ok(()) };
         // Gathered once, light stays as it is until more rays are asked for or the map it came from is much better.
         let fresh: Vec<(usize, (u32, u64))> = (0..self.gathered.len())
@@ -173,7 +173,7 @@ impl Solver<'_, '_> {
 
     /// Light of the texels in two halves from that of the elements.
     pub(super) fn texel_halves(&self, found: &Reconstruction) -> Halves {
-        let LightPath { tree, open, .. } = self.path;
+        let Surface { tree, open, .. } = self.path.surface;
         let whole = self.options.texel_value == TexelValue::Mean;
         let [odd, even] = [0, 1].map(|h| {
             let mut out = scattered(&tree.elements, &found.values[h], open.len(), Vec3::ZERO);

@@ -18,8 +18,7 @@ use crate::accuracy::{
     Audit, Halves, MeshError, Missed, Spent, TexelError, TexelWeights, Unseen, cheapest_growth, gather_rays,
     plan_meshes,
 };
-use crate::atlas::Texels;
-use crate::cell::{Gathered, SurfaceTree};
+use crate::cell::Gathered;
 use crate::error::BakeError;
 use crate::light::{Direct, Emitters, Growth, TexelLight, Visibility};
 use crate::observer::{Observer, Progress, Stage};
@@ -71,16 +70,8 @@ const SAMPLE_COST: f64 = 2.0;
 /// What rays meet and what shines: the inputs of the solution.
 #[derive(Debug, Clone, Copy)]
 pub struct LightPath<'a> {
-    /// All texels.
-    pub texels: &'a Texels,
-    /// Open share of the area of each texel of the map.
-    pub open: &'a [f32],
-    /// The texel whose light each texel of the map shows: its own, or that of a sheet that lies upon it.
-    pub shown: &'a [u32],
-    /// The surface of the map as a tree.
-    pub tree: &'a SurfaceTree,
-    /// Width below which a gap between surfaces is none [frame units].
-    pub crevice: f32,
+    /// What light falls on.
+    pub surface: &'a Surface,
     /// What shines.
     pub emitters: &'a Emitters,
     /// What rays meet.
@@ -90,7 +81,7 @@ pub struct LightPath<'a> {
 impl<'a> LightPath<'a> {
     /// What direct light is sampled with.
     pub fn light(&self, smooth: bool) -> TexelLight<'a> {
-        let LightPath { texels, open, emitters, visibility, .. } = *self;
+        let LightPath { surface: Surface { texels, open, .. }, emitters, visibility } = *self;
         TexelLight { texels, open, emitters, visibility, smooth }
     }
 }
@@ -234,9 +225,9 @@ pub fn solve(
         observer,
         began,
         weights,
-        direct: Direct::new(path.texels.texels.len()),
+        direct: Direct::new(path.surface.texels.texels.len()),
         smooths_direct: None,
-        bins: Bins::new(path.visibility.world, path.texels, path.open),
+        bins: Bins::new(path.visibility.world, &path.surface.texels, &path.surface.open),
         flux: None,
         starts: None,
         gathered: vec![0; instances],
@@ -271,7 +262,8 @@ struct Round {
 
 impl Solver<'_, '_> {
     fn run(&mut self) -> Result<Solution, BakeError> {
-        let bits = (self.path.texels.texels.len().max(1).ilog2()).clamp(*FIRST_NET_BITS.start(), *FIRST_NET_BITS.end());
+        let bits = (self.path.surface.texels.texels.len().max(1).ilog2())
+            .clamp(*FIRST_NET_BITS.start(), *FIRST_NET_BITS.end());
         let mut round = Round { samples: 1, photons: 1 << bits, ..Round::default() };
         loop {
             let mut solution = self.converge(round)?;
@@ -351,7 +343,7 @@ impl Solver<'_, '_> {
 
     /// Takes direct samples; the limit that ended them early.
     fn sample(&mut self, round: &Round) -> Result<Option<&'static str>, BakeError> {
-        let texels = self.path.texels;
+        let texels = &self.path.surface.texels;
         let light = self.path.light(self.options.normals == Normals::Smooth);
         let mut factors = round.direct.clone();
         let mut left = round.samples;
@@ -384,7 +376,7 @@ impl Solver<'_, '_> {
     /// Shoots `photons` per half in nets; the limit that ended them early.
     fn shoot(&mut self, photons: u64) -> Result<Option<&'static str>, BakeError> {
         let mut started = Instant::now();
-        let LightPath { texels, open, visibility, crevice, .. } = self.path;
+        let LightPath { surface: Surface { texels, open, crevice, .. }, visibility, .. } = self.path;
         let starts = [0, 1].map(|h| StartTable::new(texels, &self.direct, h));
         let total = starts[0].total().max(starts[1].total());
         if total <= 0.0 {
@@ -410,7 +402,7 @@ impl Solver<'_, '_> {
                 break;
             }
             let bits = left.min(allowed).ilog2().clamp(LEAST_NET_BITS, LARGEST_NET_BITS);
-            let shooting = Shooting { seed, flux, starts: &starts, direct: &self.direct, light, crevice };
+            let shooting = Shooting { seed, flux, starts: &starts, direct: &self.direct, light, crevice: *crevice };
             for (half, start) in starts.iter().enumerate() {
                 // A half whose direct samples found no light sends out nothing, but its photons count.
                 if start.total() > 0.0 {
@@ -492,7 +484,7 @@ impl Solver<'_, '_> {
         let samples = self.direct.all_samples() as f64;
         if s.error.mean <= 0.0 {
             // Nothing found any light yet. It may come through a keyhole: black is believed after a good look.
-            let looks = samples / (2 * self.path.texels.texels.len()).max(1) as f64;
+            let looks = samples / (2 * self.path.surface.texels.texels.len()).max(1) as f64;
             let looks_on = looks < DARK_SAMPLES && !self.path.emitters.is_empty();
             return looks_on.then(|| Round { samples: samples as u64, ..Round::default() });
         }

@@ -35,7 +35,6 @@ impl Surface {
 
     /// The inputs of a solution.
     pub fn path<'a>(&'a self, emitters: &'a Emitters, visibility: &'a Visibility<'a>) -> LightPath<'a> {
-        let Surface { texels, open, shown, tree, crevice, .. } = self;
-        LightPath { texels, open, shown, tree, crevice: *crevice, emitters, visibility }
+        LightPath { surface: self, emitters, visibility }
     }
 }

@@ -3,7 +3,7 @@
 use super::{RgbImage, tone};
 use crate::accel::{Hit, Ray};
 use crate::atlas::Atlas;
-use crate::lightmap::{Lightmap, LightmapPage};
+use crate::lightmap::Lightmap;
 use crate::scene::{Camera, Projection, Sky, SurfaceFlags, World};
 use glam::{Vec2, Vec3};
 use rayon::prelude::*;
@@ -131,24 +131,8 @@ impl<F: Fn(&Ray) -> Option<Hit>> View<'_, F> {
         let Some(page) = self.lightmap.pages.get(page as usize) else { return unmapped };
         let at = a * (1.0 - uv.x - uv.y) + b * uv.x + c * uv.y;
         let values = if back && !page.back.is_empty() { &page.back } else { &page.irradiance };
-        bilinear(page, values, at).unwrap_or(unmapped)
+        page.filtered(values, at.as_dvec2()).unwrap_or(unmapped)
     }
-}
-
-/// Value at texel coordinates `at`, clamped to the page; `None` where the page lacks texels or `at` is not
-/// finite.
-fn bilinear(page: &LightmapPage, values: &[[f32; 3]], at: Vec2) -> Option<Vec3> {
-    let (width, height) = (page.width as usize, page.height as usize);
-    if values.is_empty() || values.len() != width * height || !at.is_finite() {
-        return None;
-    }
-    let at = (at - 0.5).clamp(Vec2::ZERO, Vec2::new((width - 1) as f32, (height - 1) as f32));
-    let (x, y) = (at.x as usize, at.y as usize);
-    let t = at - at.floor();
-    let fetch = |x: usize, y: usize| Vec3::from(values[y.min(height - 1) * width + x.min(width - 1)]);
-    let top = fetch(x, y).lerp(fetch(x + 1, y), t.x);
-    let bottom = fetch(x, y + 1).lerp(fetch(x + 1, y + 1), t.x);
-    Some(top.lerp(bottom, t.y))
 }
 
 /// Mean irradiance over the surface on all pages.
@@ -210,19 +194,5 @@ impl CameraRays {
             false => (self.origin, (self.forward + aside).normalize()),
         };
         Ray { origin, direction, t_max: f32::INFINITY }
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn filtering_hits_texel_centres_and_clamps_at_the_border() {
-        let page = LightmapPage { width: 2, height: 1, ..Default::default() };
-        let values = [[0.0; 3], [1.0; 3]];
-        let at = |x: f32| bilinear(&page, &values, Vec2::new(x, 0.7)).map(|v| v.x);
-        assert_eq!([at(-3.0), at(0.5), at(1.0), at(1.5), at(9.0)], [0.0, 0.0, 0.5, 1.0, 1.0].map(Some));
-        assert_eq!(at(f32::NAN), None);
     }
 }
