@@ -11,7 +11,7 @@ use crate::options::{BakeOptions, Lights, UvSource};
 use crate::pilot::adapt_density;
 use crate::report::{AtlasSummary, Energy, Report, Seconds, Split, Work};
 use crate::scene::{Scene, SurfaceFlags, World};
-use crate::solve::{Solution, Surface, solve};
+use crate::solve::{LightSeconds, Solution, Surface, solve};
 use std::time::Instant;
 
 /// A finished bake.
@@ -95,8 +95,14 @@ fn bake_here<'s>(scene: &'s Scene, options: &BakeOptions, observer: &mut dyn Obs
     let path = surface.path(&emitters, &visibility);
     let weights = TexelWeights::of_values(&world, &surface.texels, &surface.open, options.texel_value);
     let solution = solve(path, weights, options, clock.began, observer)?;
-    [seconds.direct, seconds.photons, seconds.estimate, seconds.audit] = solution.seconds;
-    seconds.rounds = solution.rounds.clone();
+    LightSeconds {
+        direct: seconds.direct,
+        photons: seconds.photons,
+        gather: seconds.gather,
+        estimate: seconds.estimate,
+        audit: seconds.audit,
+    } = solution.seconds;
+    seconds.rounds.clone_from(&solution.rounds);
     clock.lap();
 
     observer.stage(Stage::Finish);

@@ -32,8 +32,19 @@ pub struct Progress {
     pub rays_per_second: f64,
     /// Seconds since the bake began.
     pub elapsed: f64,
-    /// Seconds left to the target, by the fall of the error with the rays.
-    pub remaining: Option<f64>,
+    /// How long until all targets are met; `None` before the first round ends.
+    pub remaining: Option<Remaining>,
+}
+
+/// How long until all targets are met, by the fall of the error with the work and the speed of that so far, in seconds.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Remaining {
+    /// Most likely.
+    pub seconds: f64,
+    /// Lower end of the band that it should be in.
+    pub low: f64,
+    /// Its upper end.
+    pub high: f64,
 }
 
 /// Watches a bake.

@@ -3,6 +3,7 @@
 use crate::accuracy::{Audit, MeshError, TexelError};
 use crate::error::Warning;
 use crate::lightmap::Shown;
+use crate::observer::{Progress, Remaining};
 use crate::options::Quantity;
 use crate::photon::EnergyLedger;
 use serde::Serialize;
@@ -108,7 +109,7 @@ pub struct HistoryEntry {
     pub low: f64,
     /// Upper end of its 95 % interval.
     pub high: f64,
-    /// Rays that the fall of sigma predicts to the targets, from the start.
+    /// Rays from the start until all targets are met, as foretold.
     pub forecast_rays: f64,
 }
 
@@ -219,8 +220,10 @@ pub struct Seconds {
     pub open: f64,
     /// Direct light.
     pub direct: f64,
-    /// Photons, and rays that gather their light.
+    /// Photons.
     pub photons: f64,
+    /// Rays that gather their light.
+    pub gather: f64,
     /// Estimating errors.
     pub estimate: f64,
     /// Auditing.
@@ -238,8 +241,25 @@ pub struct Seconds {
 pub struct RoundSeconds {
     /// Seconds from the call to the end of the round.
     pub at: f64,
-    /// Seconds from the call until the targets would be met, by the rays foretold and the rays per second so far.
+    /// Seconds from the call until all targets would be met, by the work foretold and its speed so far.
     pub forecast: f64,
+    /// Lower end of the band that it should be in.
+    pub forecast_low: f64,
+    /// Its upper end.
+    pub forecast_high: f64,
+}
+
+impl RoundSeconds {
+    /// What was known at the end of a round.
+    pub fn new(now: &Progress) -> RoundSeconds {
+        let until = |of: fn(&Remaining) -> f64| now.elapsed + now.remaining.as_ref().map_or(0.0, of);
+        RoundSeconds {
+            at: now.elapsed,
+            forecast: until(|r| r.seconds),
+            forecast_low: until(|r| r.low),
+            forecast_high: until(|r| r.high),
+        }
+    }
 }
 
 /// The error that 95 % of the meshes are under (0 without meshes).

@@ -19,12 +19,17 @@ const PAGE: u32 = 128;
 /// A room of coloured walls with a block on the floor, a board close to a wall and a lamp: contact shadows, dark
 /// gaps and colour.
 fn room() -> Scene {
+    room_with_gap(0.1)
+}
+
+/// ... where one block is so far from the wall.
+fn room_with_gap(gap: f32) -> Scene {
     let mut b = Builder::new(PAGE);
     let wall = b.material(Material { base_color: Vec4::new(0.7, 0.5, 0.3, 1.0), ..Material::default() });
     b.room(Vec3::ZERO, Vec3::new(3.0, 2.0, 4.0), wall, 24);
     let block = b.diffuse(0.5, 0.0);
     b.solid(Vec3::new(0.5, 0.0, 0.6), Vec3::new(1.2, 0.7, 1.4), block, 8);
-    b.solid(Vec3::new(2.5, 0.6, 1.0), Vec3::new(2.9, 1.4, 2.0), block, 6);
+    b.solid(Vec3::new(2.6 - gap, 0.6, 1.0), Vec3::new(3.0 - gap, 1.4, 2.0), block, 6);
     let lamp = b.diffuse(0.0, 20.0);
     b.quad("lamp", Vec3::new(1.2, 1.99, 1.8), Vec3::X * 0.5, Vec3::Z * 0.5, lamp, [4; 2]);
     b.finish()
@@ -114,8 +119,8 @@ fn cells_are_as_wrong_as_stated() {
     assert!(covered >= 43, "{covered} of 48 bakes are within the target");
 }
 
-/// Light of the sky is smoothed like that of photons: as wrong as stated, no more than 0.4 % of it lost or won, for half of the
-/// samples that texels by themselves take.
+/// Light of the sky is smoothed like that of photons: as wrong as stated, no more than 0.4 % of it lost or won, for two
+/// fifths of the samples that texels by themselves take, in the mean over seeds.
 #[test]
 fn light_of_the_sky_is_as_wrong_as_stated() {
     let scene = skylit();
@@ -123,11 +128,12 @@ fn light_of_the_sky_is_as_wrong_as_stated() {
     let raw = run(&scene, &plain(PAGE, 3.0)).solution.direct_samples;
     let options = BakeOptions { smoothing: Smoothing::Cells, ..plain(PAGE, 3.0) };
     let (mut stated, mut real, mut change) = (Vec::new(), Vec::new(), Vec::new());
-    let mut covered = 0;
+    let (mut covered, mut samples) = (0, 0);
     for seed in 0..32 {
         let bake = run(&scene, &BakeOptions { seed, ..options.clone() });
-        let (weights, samples) = (&bake.solution.weights.weight, bake.solution.direct_samples);
-        assert!(bake.report.target_met && 2 * samples < raw, "{samples} samples, {raw} without cells");
+        let weights = &bake.solution.weights.weight;
+        assert!(bake.report.target_met && bake.solution.direct_samples < raw);
+        samples += bake.solution.direct_samples;
         let error = square_error(&map(&bake), &truth, weights);
         stated.push(bake.report.texel_error_percent.powi(2));
         real.push(error);
@@ -139,6 +145,7 @@ fn light_of_the_sky_is_as_wrong_as_stated() {
     let (energy, of_energy) = mean_and_error(&change);
     println!("true {:.3} %, stated {:.3} %, {covered} of 32 within the target", real_mean.sqrt(), stated_mean.sqrt());
     println!("energy {:+.3} +- {:.3} %", 100.0 * energy, 100.0 * of_energy);
+    assert!(samples < 2 * 32 * raw / 5, "{} samples, {raw} without cells", samples / 32);
     let ratio = stated_mean / real_mean;
     assert!((0.67..1.5).contains(&ratio), "stated over true square: {ratio}");
     assert!(covered >= 28, "{covered} of 32 bakes are within the target");
@@ -207,12 +214,24 @@ fn no_cell_reaches_through_a_wall() {
 /// Meshes that have to be right by themselves gather their light, and are as wrong as they say.
 #[test]
 fn gathered_light_is_right() {
-    let scene = room();
-    let truth = truth(&scene);
-    let options = BakeOptions { smoothing: Smoothing::Cells, target_mesh_percent: Some(3.0), ..plain(PAGE, 4.0) };
+    gathers(&room(), 3.0);
+}
+
+/// ... where each of them has a second side in the dark, too, which does not reach the maps. Without the gap: to the face
+/// that looks into it, looked-up light adds 3 to 6 % here.
+#[test]
+fn gathered_light_of_one_side_is_right() {
+    let mut scene = room_with_gap(0.6);
+    scene.materials.iter_mut().for_each(|m| m.double_sided = true);
+    gathers(&scene, 2.0);
+}
+
+fn gathers(scene: &Scene, target: f64) {
+    let truth = truth(scene);
+    let options = BakeOptions { smoothing: Smoothing::Cells, target_mesh_percent: Some(target), ..plain(PAGE, 4.0) };
     let (mut true_sum, mut stated_sum) = (0.0, 0.0);
     for seed in 0..6 {
-        let bake = run(&scene, &BakeOptions { seed, ..options.clone() });
+        let bake = run(scene, &BakeOptions { seed, ..options.clone() });
         assert!(bake.report.target_met && bake.report.work.gathered_meshes > 0, "{:?}", bake.report.limit);
         for m in bake.report.meshes.iter().filter(|m| m.mean > 0.01 * bake.report.mean_irradiance) {
             let weights: Vec<f64> = (0..bake.texels.mapped)
@@ -225,7 +244,7 @@ fn gathered_light_is_right() {
             // A face that looks into a dark gap has light looked up on texels as wide as the gap: 2 % too much of
             // its own little light, which its noise does not tell.
             let percent = error.max(0.0).sqrt();
-            assert!(percent < 4.5, "{}: {percent:.2} % for {:.2} %", m.name, m.error_percent);
+            assert!(percent < 1.5 * target, "{}: {percent:.2} % for {:.2} %", m.name, m.error_percent);
             true_sum += error;
             stated_sum += m.error_percent.powi(2);
         }

@@ -175,7 +175,7 @@ impl TexelError {
 const BLOCK: usize = 64;
 
 /// Degrees of freedom of the noise in a block of a cell's size: a mean and two slopes.
-const CELL_FREEDOM: f64 = 3.0;
+pub const CELL_FREEDOM: f64 = 3.0;
 
 /// Rec. 709 luminance.
 fn luminance(c: Vec3) -> f64 {
@@ -201,6 +201,8 @@ pub struct Known<'a> {
     pub blocks: &'a [Node],
     /// Its squared bias over all.
     pub bias: Bias,
+    /// Variance of the sum of squared noise by light that was smoothed over other blocks besides.
+    pub more_variance: f64,
     /// Squared relative noise that all indirect light has in common.
     pub start_noise: f64,
 }
@@ -258,7 +260,7 @@ pub fn texel_error(known: &Known) -> TexelError {
     let percent = |square: f64| 100.0 * (square.max(0.0) / weight).sqrt() / mean;
     // Upper and lower end of the noise, taken as chi-square.
     let common = known.start_noise * sum(|s| s.indirect_light);
-    let variance = apart_variance(&blocks) + smoothed_variance(known) + 2.0 * common * common;
+    let variance = apart_variance(&blocks) + smoothed_variance(known) + known.more_variance + 2.0 * common * common;
     // Never more degrees of freedom than texels that count.
     let texels = weight * weight / sum(|s| s.square_weight);
     let nu = if variance > 0.0 { 2.0 * square * square / variance } else { f64::INFINITY };

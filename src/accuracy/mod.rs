@@ -16,6 +16,10 @@ mod plan;
 
 pub use audit::{Audit, Auditor, Effort, Verdict};
 pub use density::{DensityGoal, GridFall, chart_densities};
-pub use estimate::{Halves, Known, MeshError, TexelError, TexelWeights, Unseen, mesh_errors, spread, texel_error};
+pub use estimate::{
+    CELL_FREEDOM, Halves, Known, MeshError, TexelError, TexelWeights, Unseen, mesh_errors, spread, texel_error,
+};
 pub use interval::{Moments, TWO_SIDED_95, chi_square_quantile, normal_quantile};
-pub use plan::{GATHER_AGAIN, MeshPlan, Missed, Spent, cheapest_growth, gather_rays, plan_meshes};
+pub use plan::{
+    Fall, GATHER_AGAIN, GATHER_RAY_COST, MeshPlan, Missed, Spent, cheapest_growth, gather_rays, plan_meshes,
+};

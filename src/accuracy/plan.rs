@@ -2,9 +2,52 @@
 
 use crate::bisect::bisected;
 
-/// The squared error of light smoothed over cells falls as photons^-this: cells shrink as photons get more, so that
-/// noise and bias fall together (-2/3 for smooth light, -1/2 at kinks; measured -0.5 to -0.7).
+/// The squared error of photons smoothed over cells falls as photons^-this: cells shrink as photons get more, so that
+/// noise and bias fall together (-2/3 for smooth light, -1/2 at kinks; measured -0.25 to -0.9).
 pub(super) const SMOOTH_FALL: f64 = 0.6;
+
+/// ... and that of smoothed direct light as samples^-this: they go where they are needed, by a low-discrepancy sequence
+/// (measured -0.8 to -1.8).
+const SOFT_FALL: f64 = 1.0;
+
+/// Weight of that beside what rounds show, as that of a round that multiplies the work by e.
+const FALL_WEIGHT: f64 = 1.0;
+
+/// How quickly errors may be believed to fall: bias that photons cannot yet resolve hides and comes up again.
+const FALL_RANGE: std::ops::RangeInclusive<f64> = 0.3..=1.5;
+
+/// How the squared error of smoothed light falls with the work, as work^-exponent: what rounds have shown of it.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Fall {
+    weight: f64,
+    sum: f64,
+}
+
+impl Fall {
+    /// Of photons, before any round.
+    pub fn of_photons() -> Fall {
+        Fall { weight: FALL_WEIGHT, sum: FALL_WEIGHT * SMOOTH_FALL }
+    }
+
+    /// Of smoothed direct light, before any round.
+    pub fn of_soft_light() -> Fall {
+        Fall { weight: FALL_WEIGHT, sum: FALL_WEIGHT * SOFT_FALL }
+    }
+
+    /// A round in which the work grew by the factor `growth` and the squared error fell by the factor `fall`.
+    pub fn learn(&mut self, growth: f64, fall: f64) {
+        if growth > 1.0 && growth.is_finite() && fall > 0.0 && fall.is_finite() {
+            let (growth, fall) = (growth.ln(), fall.ln());
+            self.weight += growth * growth;
+            self.sum += growth * fall;
+        }
+    }
+
+    /// The exponent.
+    pub fn exponent(&self) -> f64 {
+        (self.sum / self.weight).clamp(*FALL_RANGE.start(), *FALL_RANGE.end())
+    }
+}
 
 /// Aimed for below the target: estimates scatter.
 const MARGIN: f64 = 0.96;
@@ -18,6 +61,8 @@ pub struct Spent {
     pub soft: f64,
     /// Squared error of the indirect light, noise and bias.
     pub indirect: f64,
+    /// Exponents with which `soft` and `indirect` fall.
+    pub falls: [f64; 2],
     /// Cost of the direct light so far, > 0.
     pub direct_cost: f64,
     /// Cost of the photons so far, in the same unit, > 0.
@@ -27,7 +72,7 @@ pub struct Spent {
 /// Factors (>= 1) on both kinds of work that bring the sum of the squared errors down to `1 / needed` of it with
 /// the least cost.
 pub fn cheapest_growth(spent: &Spent, needed: f64) -> (f64, f64) {
-    let Spent { direct, soft, indirect, direct_cost, photon_cost } = *spent;
+    let Spent { direct, soft, indirect, falls, direct_cost, photon_cost } = *spent;
     let goal = (direct + soft + indirect) / needed * MARGIN * MARGIN;
     if needed <= 1.0 || goal <= 0.0 || goal.is_nan() {
         return (1.0, 1.0);
@@ -35,14 +80,13 @@ pub fn cheapest_growth(spent: &Spent, needed: f64) -> (f64, f64) {
     // At the least cost a little more of either brings the same: the price m of error says how far to go.
     let best = |m: f64, square: f64, fall: f64, cost: f64| libm::pow(m * fall * square / cost, 1.0 / (1.0 + fall));
     // Both kinds of direct light fall together, at first by the mean of their powers.
-    let direct_fall = (direct + SMOOTH_FALL * soft) / (direct + soft).max(1e-300);
+    let direct_fall = (direct + falls[0] * soft) / (direct + soft).max(1e-300);
     let growth = |m: f64| {
         let x = best(m, direct + soft, direct_fall, direct_cost);
-        let y = best(m, indirect, SMOOTH_FALL, photon_cost);
+        let y = best(m, indirect, falls[1], photon_cost);
         (x.max(1.0), y.max(1.0))
     };
-    let smooth = |growth: f64| libm::pow(growth, -SMOOTH_FALL);
-    let error = |(x, y): (f64, f64)| direct / x + soft * smooth(x) + indirect * smooth(y);
+    let error = |(x, y): (f64, f64)| direct / x + soft * libm::pow(x, -falls[0]) + indirect * libm::pow(y, -falls[1]);
     // By logarithms, for prices span many orders of magnitude.
     let scale = (direct_cost + photon_cost) / (direct + soft + indirect);
     let (_, high) = bisected(-40.0, 80.0, 60, |price| error(growth(scale * libm::exp2(price))) > goal);
@@ -62,8 +106,10 @@ pub struct Missed {
     pub texels: usize,
     /// Rays that each of its texels gathers indirect light with, per half; 0 while photons are to do.
     pub gathered: u32,
-    /// Of `indirect`, what is noise of those rays; the rest is in the light that they look up.
+    /// Of `indirect`, what more of those rays would lower; the rest is in the light that they look up.
     pub of_rays: f64,
+    /// What it gathers may be smoothed over cells.
+    pub smooths: bool,
 }
 
 /// What brings missed meshes to their target.
@@ -78,7 +124,7 @@ pub struct MeshPlan {
 }
 
 /// Cost of a gather ray in rays of photons: rays of one texel go everywhere, and look light up (measured 1.7 to 4).
-const GATHER_RAY_COST: f64 = 2.5;
+pub const GATHER_RAY_COST: f64 = 2.5;
 
 /// Rays that texels take to gather with `samples` each per half: in each half one that looks around and one towards
 /// the light.
@@ -89,8 +135,12 @@ pub fn gather_rays(samples: f64, texels: usize) -> f64 {
 /// Squared relative scatter of one gather sample, before it was measured.
 const GATHER_SCATTER: f64 = 2.0;
 
+/// Smoothed over cells, what meshes of more texels than this gather takes fewer rays, up to this many times.
+const GATHER_TEXELS: f64 = 8192.0;
+const GATHER_SAVING: f64 = 8.0;
+
 /// Gather rays of a texel and half: at least, at most, and growth from round to round.
-const GATHER_RANGE: std::ops::RangeInclusive<f64> = 16.0..=16384.0;
+const GATHER_RANGE: std::ops::RangeInclusive<f64> = 8.0..=16384.0;
 const GATHER_GROWTH: f64 = 8.0;
 
 /// What costs less than this share of all photons is tried first.
@@ -103,12 +153,15 @@ pub const GATHER_AGAIN: u64 = 4;
 /// mesh for rays in proportion to its texels. `target` is the meshes' target as a fraction, `anyway` the factor by which
 /// there will be more photons for the sake of the whole.
 pub fn plan_meshes(missed: &[Missed], spared: usize, target: f64, photon_cost: f64, anyway: f64) -> MeshPlan {
-    /// Half of the squared target for direct light, half for indirect light.
-    const SHARE: f64 = 0.5;
-    let first = (GATHER_SCATTER / (2.0 * SHARE * target * target)).clamp(*GATHER_RANGE.start(), *GATHER_RANGE.end());
+    /// About half of the squared target for direct light, half for indirect light: estimates scatter, and one more round
+    /// for a mesh that just missed its target costs more than it saves.
+    const SHARE: f64 = 0.43;
+    let alone = GATHER_SCATTER / (2.0 * SHARE * target * target);
+    let bounded = |samples: f64| samples.clamp(*GATHER_RANGE.start(), *GATHER_RANGE.end()).ceil();
     let samples = |m: &Missed| match m.gathered {
-        0 => first.ceil(),
-        n => (f64::from(n) * (m.indirect / SHARE * 1.1).min(GATHER_GROWTH)).min(*GATHER_RANGE.end()).ceil(),
+        0 if m.smooths => bounded(alone / (m.texels as f64 / GATHER_TEXELS).clamp(1.0, GATHER_SAVING)),
+        0 => bounded(alone),
+        n => bounded(f64::from(n) * (m.indirect / SHARE * 1.1).min(GATHER_GROWTH)),
     };
     let cost = |m: &Missed| GATHER_RAY_COST * gather_rays(samples(m), m.texels);
     let photons_for = |m: &Missed| libm::pow(m.indirect / SHARE, 1.0 / SMOOTH_FALL);
@@ -155,7 +208,14 @@ mod tests {
 
     #[test]
     fn growth_meets_the_goal_at_the_least_cost() {
-        let spent = Spent { direct: 3.0, soft: 0.0, indirect: 5.0, direct_cost: 1e6, photon_cost: 3e6 };
+        let spent = Spent {
+            direct: 3.0,
+            soft: 0.0,
+            indirect: 5.0,
+            direct_cost: 1e6,
+            photon_cost: 3e6,
+            falls: [SMOOTH_FALL; 2],
+        };
         let (x, y) = cheapest_growth(&spent, 4.0);
         let error = |x: f64, y: f64| 3.0 / x + 5.0 * y.powf(-SMOOTH_FALL);
         let cost = |x: f64, y: f64| 1e6 * x + 3e6 * y;
@@ -170,9 +230,23 @@ mod tests {
 
     #[test]
     fn what_adds_no_error_does_not_grow() {
-        let spent = Spent { direct: 0.0, soft: 0.0, indirect: 1.0, direct_cost: 1e6, photon_cost: 1e6 };
+        let spent = Spent {
+            direct: 0.0,
+            soft: 0.0,
+            indirect: 1.0,
+            direct_cost: 1e6,
+            photon_cost: 1e6,
+            falls: [SMOOTH_FALL; 2],
+        };
         assert_eq!(cheapest_growth(&spent, 9.0).0, 1.0);
-        let spent = Spent { direct: 1.0, soft: 0.0, indirect: 0.0, direct_cost: 1e6, photon_cost: 1e6 };
+        let spent = Spent {
+            direct: 1.0,
+            soft: 0.0,
+            indirect: 0.0,
+            direct_cost: 1e6,
+            photon_cost: 1e6,
+            falls: [SMOOTH_FALL; 2],
+        };
         let (x, y) = cheapest_growth(&spent, 9.0);
         assert_eq!(y, 1.0);
         assert!((x - 9.0 / (MARGIN * MARGIN)).abs() < 1e-3);
@@ -180,21 +254,45 @@ mod tests {
     }
 
     #[test]
+    fn exponents_are_learnt_from_rounds_with_growth() {
+        let mut fall = Fall::of_photons();
+        assert_eq!(fall.exponent(), SMOOTH_FALL);
+        fall.learn(1.0, 2.0);
+        fall.learn(0.5, f64::NAN);
+        assert_eq!(fall.exponent(), SMOOTH_FALL);
+        (0..4).for_each(|_| fall.learn(5.0, libm::pow(5.0, 0.8)));
+        assert!((fall.exponent() - 0.8).abs() < 0.02, "{fall:?}");
+        (0..40).for_each(|_| fall.learn(5.0, 0.9));
+        assert_eq!(fall.exponent(), *FALL_RANGE.start());
+    }
+
+    #[test]
     fn small_meshes_gather_and_large_ones_wait_for_photons() {
-        let missed =
-            |instance, indirect, texels| Missed { instance, direct: 0.1, indirect, texels, gathered: 0, of_rays: 0.0 };
+        let missed = |instance, indirect, texels| Missed {
+            instance,
+            direct: 0.1,
+            indirect,
+            texels,
+            gathered: 0,
+            of_rays: 0.0,
+            smooths: true,
+        };
         let meshes = [missed(0, 400.0, 30), missed(1, 1.2, 200_000), missed(2, 90.0, 100)];
-        let plan = plan_meshes(&meshes, 0, 0.15, 1e7, 1.0);
+        let plan = plan_meshes(&meshes, 0, 0.15, 1e6, 1.0);
         assert_eq!(plan.gather.iter().map(|g| g.0).collect::<Vec<_>>(), [0, 2]);
         assert!(plan.photons > 1.5 && plan.photons < 10.0, "{plan:?}");
         assert!(plan.direct.is_empty());
+        // ... but if these are dear: smoothed over cells, what it gathers takes fewer rays.
+        let plan = plan_meshes(&meshes, 0, 0.15, 1e8, 1.0);
+        let [small, _, large] = plan.gather.as_slice() else { panic!("{plan:?}") };
+        assert!(large.0 == 1 && small.0 == 0 && large.1 * 7 < small.1, "{plan:?}");
         // The dearest may be spared.
-        let plan = plan_meshes(&meshes, 1, 0.15, 1e7, 1.0);
+        let plan = plan_meshes(&meshes, 1, 0.15, 1e6, 1.0);
         assert_eq!(plan.photons, 1.0);
         // What is gathered grows by what is missing, where its rays are too few.
         let again = Missed { gathered: 89, indirect: 2.0, of_rays: 1.5, ..meshes[0] };
         let plan = plan_meshes(&[again], 0, 0.15, 1e7, 1.0);
-        assert_eq!(plan.gather, [(0, (89.0f64 * 2.0 / 0.5 * 1.1).ceil() as u32)]);
+        assert_eq!(plan.gather, [(0, (89.0f64 * 2.0 / 0.43 * 1.1).ceil() as u32)]);
         assert_eq!(plan.photons, 1.0);
         // Where they are not, what they look up must get better.
         let plan = plan_meshes(&[Missed { of_rays: 0.3, texels: 3000, ..again }], 0, 0.15, 1e7, 1.0);

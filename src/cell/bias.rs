@@ -3,6 +3,7 @@
 use super::tree::{Node, SurfaceTree};
 use glam::Vec3;
 use rayon::prelude::*;
+use std::ops::Range;
 
 /// Sums of a squared bias over surface.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
@@ -20,68 +21,106 @@ impl Bias {
         self.square.max(0.0) + self.variance.sqrt()
     }
 
+    /// Of both.
+    pub fn plus(&self, other: &Bias) -> Bias {
+        Bias { square: self.square + other.square, variance: self.variance + other.variance }
+    }
+
     fn add(&mut self, term: f64) {
         self.square += term;
         self.variance += term * term;
     }
 }
 
-/// The squared bias of the mean of both halves, for each of `groups` groups and, at the end, for all together.
-/// `weight(k)` is the weight of element k, 0 where nothing is smoothed, and its group.
-///
-/// With R the reconstruction of a half and r its raw irradiance, both independent of the other half's,
-/// `(R_odd - r_odd) (R_even - r_even)` has the product of both biases as its expectation, however the cells were
-/// chosen: with sigma from the difference of the halves it adds up to the squared error of the mean. On single
-/// texels r is too noisy to see it, so means over `blocks` are taken, halved `depth` times, for the bias of a plane
-/// changes sign within its cell. What averages out within one goes unseen. `values` are the irradiances R (lux) and
-/// `caught` the flux that r is of.
-pub fn bias(
-    tree: &SurfaceTree,
-    caught: [&[[f32; 3]]; 2],
-    values: [&[Vec3]; 2],
-    blocks: &[Node],
-    groups: usize,
-    depth: u32,
-    weight: impl Fn(usize) -> (f64, u32) + Sync,
-) -> Vec<Bias> {
-    let mut blocks: Vec<Node> = blocks.to_vec();
-    for _ in 0..depth {
-        let halve = |n: Node| tree.children(&n).map_or_else(|| vec![n], |pair| pair.to_vec());
-        blocks = blocks.into_iter().flat_map(halve).collect();
+/// Light before and after it was smoothed, in two halves, in the order of the tree.
+#[derive(Debug, Clone, Copy)]
+pub struct Compared<'a> {
+    /// Surface.
+    pub tree: &'a SurfaceTree,
+    /// Flux that was caught [lux x frame units squared].
+    pub caught: [&'a [[f32; 3]]; 2],
+    /// Irradiance (lux) after smoothing.
+    pub values: [&'a [Vec3]; 2],
+}
+
+impl Compared<'_> {
+    /// The squared bias of the mean of both halves, over all elements. `weight(k)` is the weight of element k, 0 where
+    /// nothing is smoothed.
+    ///
+    /// With R the reconstruction of a half and r its raw irradiance, both independent of the other half's,
+    /// `(R_odd - r_odd) (R_even - r_even)` has the product of both biases as its expectation, however the cells were
+    /// chosen: with sigma from the difference of the halves it adds up to the squared error of the mean. On single
+    /// texels r is too noisy to see it, so means over `blocks` are taken, halved `depth` times, for the bias of a plane
+    /// changes sign within its cell. What averages out within one goes unseen.
+    pub fn bias(&self, blocks: &[Node], depth: u32, weight: impl Fn(usize) -> f64 + Sync) -> Bias {
+        let of_block = |block: &Node| {
+            let mut sum = Bias::default();
+            self.halved(block, depth, &mut |elements| {
+                let parts = elements.map(|k| (weight(k), k)).filter(|p| p.0 > 0.0).map(|(w, k)| self.part(k, w));
+                if let Some(whole) = parts.reduce(|a, b| a.with(&b)) {
+                    sum.add(whole.square());
+                }
+            });
+            sum
+        };
+        let sums: Vec<Bias> = blocks.par_iter().map(of_block).collect();
+        sums.iter().fold(Bias::default(), |all, sum| all.plus(sum))
     }
-    // What each group, of which there are few, has in each block: texels of a mesh that are known well must not be told
-    // the noise of those of another beside them.
-    let parts: Vec<Vec<(u32, Part)>> = blocks
-        .into_par_iter()
-        .map(|block| {
-            let mut parts = Vec::<(u32, Part)>::new();
-            for k in block.elements {
-                let (weight, group) = weight(k);
-                if weight <= 0.0 {
-                    continue;
+
+    /// That of each of `groups` groups: the elements of one in a block, of which there are few, are taken by themselves,
+    /// for texels of a mesh that are known well must not be told the noise of those of another beside them. `weight(k)`
+    /// is the weight of element k and its group.
+    pub fn biases(
+        &self,
+        blocks: &[Node],
+        depth: u32,
+        groups: usize,
+        weight: impl Fn(usize) -> (f64, u32) + Sync,
+    ) -> Vec<Bias> {
+        let of_block = |block: &Node| {
+            let (mut sums, mut parts) = (Vec::<(u32, Bias)>::new(), Vec::<(u32, Part)>::new());
+            self.halved(block, depth, &mut |elements| {
+                for ((weight, group), k) in elements.map(|k| (weight(k), k)).filter(|p| p.0.0 > 0.0) {
+                    let one = self.part(k, weight);
+                    match parts.iter_mut().find(|p| p.0 == group) {
+                        Some((_, part)) => *part = part.with(&one),
+                        None => parts.push((group, one)),
+                    }
                 }
-                let area = tree.elements[k].area;
-                let over = [0, 1].map(|h| {
-                    let of = |c: usize| f64::from(area * values[h][k][c]) - f64::from(caught[h][k][c]);
-                    std::array::from_fn(of)
-                });
-                let one = Part { weight, area: area.into(), over };
-                match parts.iter_mut().find(|p| p.0 == group) {
-                    Some((_, part)) => *part = part.with(&one),
-                    None => parts.push((group, one)),
+                for (group, part) in parts.drain(..) {
+                    match sums.iter_mut().find(|s| s.0 == group) {
+                        Some((_, sum)) => sum.add(part.square()),
+                        None => {
+                            let mut sum = Bias::default();
+                            sum.add(part.square());
+                            sums.push((group, sum));
+                        }
+                    }
                 }
-            }
-            parts
-        })
-        .collect();
-    let mut sums = vec![Bias::default(); groups + 1];
-    for parts in parts {
-        parts.iter().for_each(|(group, part)| sums[*group as usize].add(part.square()));
-        if let Some(whole) = parts.into_iter().map(|p| p.1).reduce(|a, b| a.with(&b)) {
-            sums[groups].add(whole.square());
+            });
+            sums
+        };
+        let found: Vec<Vec<(u32, Bias)>> = blocks.par_iter().map(of_block).collect();
+        let mut sums = vec![Bias::default(); groups];
+        for (group, sum) in found.iter().flatten() {
+            sums[*group as usize] = sums[*group as usize].plus(sum);
+        }
+        sums
+    }
+
+    /// Calls `each` with the elements of a node halved `depth` times, in order.
+    fn halved(&self, node: &Node, depth: u32, each: &mut impl FnMut(Range<usize>)) {
+        match self.tree.children(node).filter(|_| depth > 0) {
+            Some(pair) => pair.iter().for_each(|half| self.halved(half, depth - 1, each)),
+            None => each(node.elements.clone()),
         }
     }
-    sums
+
+    fn part(&self, k: usize, weight: f64) -> Part {
+        let area = self.tree.elements[k].area;
+        let over = |h: usize, c: usize| f64::from(area * self.values[h][k][c]) - f64::from(self.caught[h][k][c]);
+        Part { weight, area: area.into(), over: [0, 1].map(|h| std::array::from_fn(|c| over(h, c))) }
+    }
 }
 
 /// Some elements of a block.

@@ -1,6 +1,7 @@
 //! Irradiance between cells: a plane fitted around each, blended where they meet.
 
-use super::links::{Cells, linked, middle_of};
+use super::index::CellIndex;
+use super::links::{Cells, middle_of};
 use super::tree::{Element, SurfaceTree};
 use super::{Caught, Samples};
 use crate::accel::Accel;
@@ -10,10 +11,10 @@ use std::ops::Range;
 
 /// A plane is fitted to its cell and those around it whose centres are nearer than this many sides of the cell,
 /// with a weight that falls linearly to 0 there.
-const FIT_REACH: f32 = 1.2;
+pub(super) const FIT_REACH: f32 = 1.2;
 
 /// A plane counts up to this many sides of its cell away from the centre.
-const BLEND_REACH: f32 = 1.2;
+pub(super) const BLEND_REACH: f32 = 1.2;
 
 /// What cells caught and their planes do not tell is added back where its square is this many times its variance.
 const SURE: f64 = 4.0;
@@ -34,7 +35,7 @@ const STEPS: usize = 2;
 const REGIONS: [usize; 4] = [usize::MAX, 1024, 128, 16];
 
 /// Cells whose normals are further apart than this have nothing to do with each other.
-const LEAST_COSINE: f32 = 0.7;
+pub(super) const LEAST_COSINE: f32 = 0.7;
 
 /// Nor cells that lie above each other: by more than this share of their distance, along the mean of their normals,
 /// in which cells of an arc are level.
@@ -42,15 +43,15 @@ const MOST_STEEP: f32 = 0.25;
 
 /// A cell with the moments that fits need. All about `centre`.
 #[derive(Debug, Clone, Copy)]
-struct Cell {
+pub(super) struct Cell {
     area: f64,
     /// Centroid of its area [frame units].
-    centre: Vec3,
+    pub(super) centre: Vec3,
     /// The element nearest to it.
-    middle: Element,
-    normal: Vec3,
+    pub(super) middle: Element,
+    pub(super) normal: Vec3,
     /// Side of the square with the same variance [frame units].
-    side: f32,
+    pub(super) side: f32,
     /// Largest distance of an element's centroid from the centre [frame units].
     radius: f32,
     /// Second moment of the area, over the area.
@@ -251,7 +252,7 @@ fn sure(difference: DVec3, variance: f64) -> f64 {
 }
 
 /// Whether two cells may be parts of one smooth surface: turned to the same side, and neither above the other.
-fn alike(a: &Cell, b: &Cell) -> bool {
+pub(super) fn alike(a: &Cell, b: &Cell) -> bool {
     let d = b.centre - a.centre;
     let above = (a.normal + b.normal).normalize_or_zero().dot(d).abs();
     a.normal.dot(b.normal) >= LEAST_COSINE && above <= MOST_STEEP * d.length()
@@ -303,7 +304,7 @@ impl Cell {
         (self.area as f32 / (self.side * self.side)).min(1.0)
     }
 
-    fn new(tree: &SurfaceTree, elements: &[u32], caught: &Caught, dispersion: &[f32]) -> Cell {
+    pub(super) fn new(tree: &SurfaceTree, elements: &[u32], caught: &Caught, dispersion: &[f32]) -> Cell {
         let variance = elements.iter().map(|&k| caught.variance[k as usize] * f64::from(dispersion[k as usize])).sum();
         let parts = || elements.iter().map(|&k| (&tree.elements[k as usize], &caught.flux[k as usize]));
         let (mut area, mut centre, mut normal) = (0.0, DVec3::ZERO, DVec3::ZERO);
@@ -386,58 +387,30 @@ fn fit(cells: &[Cell], i: usize, around: &[u32]) -> Plane {
     Plane { value: value.as_vec3(), gradient: slope.map(|s| s.as_vec3()) }
 }
 
-/// Finds the cells around one: a binary tree of boxes over them in their order, which follows the surface.
-struct CellIndex {
-    /// In preorder, as in [`SurfaceTree`].
-    boxes: Vec<(Vec3, Vec3, f32)>,
-}
+#[cfg(test)]
+pub(super) mod tests {
+    use super::*;
+    use crate::cell::Setting;
 
-impl CellIndex {
-    fn new(cells: &[Cell]) -> CellIndex {
-        let mut boxes = vec![(Vec3::INFINITY, Vec3::NEG_INFINITY, 0.0); (2 * cells.len()).saturating_sub(1)];
-        fn fill(boxes: &mut [(Vec3, Vec3, f32)], cells: &[Cell]) {
-            match cells {
-                [] => {}
-                [c] => boxes[0] = (c.centre, c.centre, c.side),
-                _ => {
-                    let m = cells.len() / 2;
-                    let (head, rest) = boxes.split_at_mut(1);
-                    let (a, b) = rest.split_at_mut(2 * m - 1);
-                    fill(a, &cells[..m]);
-                    fill(b, &cells[m..]);
-                    head[0] = (a[0].0.min(b[0].0), a[0].1.max(b[0].1), a[0].2.max(b[0].2));
-                }
-            }
-        }
-        fill(&mut boxes, cells);
-        CellIndex { boxes }
+    pub fn elements(normals: impl Fn(u32) -> Vec3) -> Vec<Element> {
+        let at = |i: u32| Vec3::new((i % 16) as f32, 0.0, (i / 16) as f32);
+        let element = |i| Element { position: at(i), normal: normals(i), area: 1.0, texel: i, setting: Setting::Free };
+        (0..256).map(element).collect()
     }
 
-    /// Cells that a fit of cell `i` needs, or whose planes may reach into it, without a wall between; with `i`
-    /// itself, in order.
-    fn around(&self, cells: &[Cell], i: usize, accel: &Accel) -> Vec<u32> {
-        let mut found = Vec::new();
-        let mut open = vec![(0, 0, cells.len())];
-        let own = &cells[i];
-        let fit = FIT_REACH * own.side;
-        while let Some((node, from, to)) = open.pop() {
-            let (lo, hi, side) = self.boxes[node];
-            let nearest = own.centre.clamp(lo, hi);
-            // Half the diagonal of a square cell, and a little for one that is not.
-            if own.centre.distance(nearest) > fit.max(own.side + BLEND_REACH * side) {
-                continue;
-            }
-            if to - from == 1 {
-                let other = &cells[from];
-                if from == i || alike(own, other) && linked(&own.middle, &other.middle, accel) {
-                    found.push(from as u32);
-                }
-                continue;
-            }
-            let m = (to - from) / 2;
-            open.push((node + 2 * m, from + m, to));
-            open.push((node + 1, from, from + m));
-        }
-        found
+    pub fn cells_of(tree: &SurfaceTree, size: usize) -> (Cells, Caught) {
+        let n = tree.elements.len();
+        let ranges = (0..n).step_by(size).map(|i| i..(i + size).min(n)).collect();
+        let cells = Cells { order: (0..n as u32).collect(), ranges };
+        (cells, Caught { flux: vec![[1.0, 2.0, 3.0]; n], variance: vec![1e-4; n], samples: None })
+    }
+
+    /// A cell on both sides of a thin sheet has no normal, and yet its own light.
+    #[test]
+    fn a_cell_of_all_directions_keeps_its_light() {
+        let tree = SurfaceTree::of(elements(|i| if i % 2 == 0 { Vec3::Y } else { -Vec3::Y }));
+        let (cells, caught) = cells_of(&tree, 256);
+        let (light, _) = reconstruct(&tree, &cells, &caught, [&[1.0; 256], &[]], &Accel::build(&[], |_| false));
+        assert!(light.iter().all(|e| (*e - Vec3::new(1.0, 2.0, 3.0)).length() < 1e-4), "{:?}", light[0]);
     }
 }

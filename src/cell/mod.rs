@@ -3,16 +3,17 @@
 //! In: the flux that each texel of the map caught of photons, or of lamps and the sky by samples of its own, in two
 //! halves. Out: its irradiance, in two halves, each with cells chosen by its own data; both share one number alone, how far counts
 //! scatter. Their difference then holds all of the noise, and the product of what both smooth away, their
-//! [`bias`](bias()). Meshes that photons are too slow for [`Gather`].
+//! [bias](Compared::bias). Meshes that photons are too slow for [`Gather`].
 
 mod bias;
 mod choose;
 mod fit;
 mod gather;
+mod index;
 mod links;
 mod tree;
 
-pub use bias::{Bias, bias};
+pub use bias::{Bias, Compared};
 pub use gather::{Gather, Gathered};
 pub use tree::{Element, Node, Setting, SurfaceTree};
 

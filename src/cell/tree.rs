@@ -89,7 +89,7 @@ impl SurfaceTree {
     /// texel that a wall stands on has light of both sides and belongs to neither. Nor has a sheet that lies just
     /// under another anything to do with that one's light, though it is as near as the next texel.
     pub fn new(texels: &Texels, open: &[f32], visibility: &Visibility) -> SurfaceTree {
-        let mut elements: Vec<Element> = (0..texels.mapped)
+        let elements: Vec<Element> = (0..texels.mapped)
             .into_par_iter()
             .map_init(TexelSampler::default, |sampler, i| {
                 let t = &texels.texels[i];
@@ -108,6 +108,11 @@ impl SurfaceTree {
             })
             .filter(|e| e.area > 0.0)
             .collect();
+        SurfaceTree::of(elements)
+    }
+
+    /// The tree over some elements.
+    pub fn of(mut elements: Vec<Element>) -> SurfaceTree {
         elements.sort_by_key(|e| e.setting);
         let count = |of: Setting| elements.iter().filter(|e| e.setting == of).count();
         let parts = [Setting::Free, Setting::Under, Setting::Astride].map(count);

@@ -1,6 +1,6 @@
 //! Progress on a terminal, or as lines in a log.
 
-use evenlight::observer::{Progress, Stage};
+use evenlight::observer::{Progress, Remaining, Stage};
 use evenlight::output::words::seconds;
 use evenlight::{Observer, Warning};
 use indicatif::{ProgressBar, ProgressStyle};
@@ -54,6 +54,17 @@ impl Terminal {
     }
 }
 
+/// `41 s +- 2 s`, or both ends of a wide band.
+fn until(r: &Remaining) -> String {
+    if r.high <= r.low {
+        seconds(r.seconds)
+    } else if r.high > 1.5 * r.seconds {
+        format!("{} to {}", seconds(r.low), seconds(r.high))
+    } else {
+        format!("{} +- {}", seconds(r.seconds), seconds(0.5 * (r.high - r.low)))
+    }
+}
+
 impl Observer for Terminal {
     fn stage(&mut self, stage: Stage) {
         let text = match stage {
@@ -75,7 +86,7 @@ impl Observer for Terminal {
             self.last_line = Some(Instant::now());
         }
         let now = if p.percent.is_finite() { format!("{:.2} % now, ", p.percent) } else { String::new() };
-        let left = p.remaining.map_or(String::new(), |s| format!(" in {}", seconds(s)));
+        let left = p.remaining.map_or(String::new(), |r| format!(" in {}", until(&r)));
         self.say(format!(
             "{now}{} %{left} | {:.1} M rays, {:.2} M/s, {} so far",
             p.target,

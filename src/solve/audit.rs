@@ -37,7 +37,7 @@ impl Solver<'_, '_> {
         };
         let go_on = || !self.observer.cancelled() && !self.out_of_time();
         let audit = auditor.run(effort, &solution.error, self.options.target_percent, &go_on);
-        self.seconds[3] += started.elapsed().as_secs_f64();
+        self.seconds.audit += started.elapsed().as_secs_f64();
         match audit {
             Some(audit) => Ok(Ok(audit)),
             None if self.observer.cancelled() => Err(BakeError::Cancelled),

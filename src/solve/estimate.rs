@@ -55,6 +55,7 @@ impl Solver<'_, '_> {
         let caught = self.caught();
         let mut found = self.reconstruct(&caught);
         self.gather(&mut found)?;
+        let gathered = self.smooth_gathered(&mut found);
         let indirect = self.texel_halves(&found);
         let DirectLight { apart, soft } = self.direct_light(&indirect);
         let direct = soft.as_ref().map_or_else(|| apart.clone(), |soft| apart.plus(&soft.halves));
@@ -70,20 +71,21 @@ impl Solver<'_, '_> {
             (if smooth { weights.weight[i] * share } else { 0.0 }, weights.instance[i])
         };
         let smoothed = self.smoothed(&caught, &found, soft.as_ref().map(|s| &s.light));
-        let biases = |depth: u32| match self.options.smoothing {
-            Smoothing::Cells | Smoothing::Indirect => smoothed.bias(tree, instances, depth, weight),
-            Smoothing::None => vec![Bias::default(); instances + 1],
-        };
-        let depth = BIAS_DEPTH.max(LEAST_BLOCKS.div_ceil(smoothed.blocks.len().max(1)).next_power_of_two().ilog2());
-        let mut whole_bias = biases(depth)[instances];
-        if let Some(Soft { light, .. }) = &soft {
-            // What averages out within blocks is seen where texels have samples of their own: edges of shadows.
-            let [fine, coarse] = [None, Some((&smoothed.blocks[..], depth))]
-                .map(|of| light.bias(tree, of, instances, weight)[instances]);
-            whole_bias.square += fine.square - coarse.square;
-            whole_bias.variance = (whole_bias.variance - coarse.variance).max(0.0) + fine.variance;
+        let (mut whole_bias, mut biases) = (Bias::default(), vec![Bias::default(); instances]);
+        if self.options.smoothing != Smoothing::None {
+            let (compared, blocks) = (smoothed.compared(tree), &smoothed.blocks);
+            let depth = BIAS_DEPTH.max(LEAST_BLOCKS.div_ceil(blocks.len().max(1)).next_power_of_two().ilog2());
+            whole_bias = compared.bias(blocks, depth, |k| weight(k).0);
+            if let Some(Soft { light, .. }) = &soft {
+                // What averages out within blocks is seen where texels have samples of their own: edges of shadows.
+                let fine = light.compared(tree).bias(&light.found.blocks, u32::MAX, |k| weight(k).0);
+                let coarse = light.compared(tree).bias(blocks, depth, |k| weight(k).0);
+                whole_bias.square += fine.square - coarse.square;
+                whole_bias.variance = (whole_bias.variance - coarse.variance).max(0.0) + fine.variance;
+            }
+            biases = compared.biases(blocks, MESH_BIAS_DEPTH, instances, weight);
+            whole_bias = gathered.biases.iter().fold(whole_bias, |all, b| all.plus(b));
         }
-        let biases = biases(MESH_BIAS_DEPTH);
         let error = texel_error(&Known {
             direct: &direct,
             indirect: &indirect,
@@ -93,25 +95,33 @@ impl Solver<'_, '_> {
             tree,
             blocks: &smoothed.blocks,
             bias: whole_bias,
+            more_variance: gathered.variance,
             start_noise: self.start_noise(),
         });
         let error = self.unseen.map_or(error, |unseen| error.with(&unseen, self.photons * 2));
         let (target, mesh_target) = (self.options.target_percent, self.options.mesh_target());
-        let (meshes, area_within_target) = mesh_errors(visibility.world, &total, &weights, &biases, error.mean, target);
+        let all_biases: Vec<Bias> = biases.iter().zip(&gathered.biases).map(|(a, b)| a.plus(b)).collect();
+        let (meshes, area_within_target) =
+            mesh_errors(visibility.world, &total, &weights, &all_biases, error.mean, target);
         let mesh_percent = percentile_95(&meshes);
-        let split = self.squares(&apart, soft.as_ref().map(|s| &s.halves), &indirect, &weights, &biases);
+        let mut split = self.squares(&apart, soft.as_ref().map(|s| &s.halves), &indirect, &weights, &biases);
+        split.iter_mut().zip(&gathered.biases).for_each(|(s, bias)| s.indirect += bias.likely());
         let squares = split.iter().fold(Squares::default(), |s, p| s + *p);
+        let by_photons = (0..instances).filter(|&i| !self.has_gathered(i)).map(|i| split[i].indirect).sum();
         let rays_noise = self.gather_noise(&weights);
         let missed = meshes.iter().filter(|m| m.error_percent > mesh_target).map(|m| {
             let Squares { apart, soft, indirect } = split[m.instance];
             let square = (m.error_percent / mesh_target).powi(2) / (apart + soft + indirect).max(1e-300);
+            let of_rays = rays_noise[m.instance] * gathered.left[m.instance].unwrap_or(1.0)
+                + gathered.biases[m.instance].likely();
             Missed {
                 instance: m.instance,
                 direct: (apart + soft) * square,
                 indirect: indirect * square,
                 texels: m.texels,
                 gathered: self.gathered[m.instance],
-                of_rays: rays_noise[m.instance].min(indirect) * square,
+                of_rays: of_rays.min(indirect) * square,
+                smooths: self.options.smoothing != Smoothing::None,
             }
         });
         let missed = missed.collect();
@@ -131,6 +141,7 @@ impl Solver<'_, '_> {
             },
             energy_change: smoothed.energy_change(tree),
             squares,
+            by_photons,
             missed,
             limit: None,
             audit: Err("audit: not asked for"),
@@ -172,8 +183,9 @@ impl Solver<'_, '_> {
         {
             let soft = Soft { halves: self.texel_halves(&light.found), light };
             let apart = self.direct_halves(true);
-            let bias = soft.light.bias(tree, None, 1, |k| (weight[tree.elements[k].texel as usize], 0));
-            let left = noise(&apart.plus(&soft.halves)) + bias[1].likely();
+            let texel_weight = |k: usize| weight[tree.elements[k].texel as usize];
+            let bias = soft.light.compared(tree).bias(&soft.light.found.blocks, u32::MAX, texel_weight);
+            let left = noise(&apart.plus(&soft.halves)) + bias.likely();
             let gain = if self.smooths_direct == Some(true) { SMOOTH_KEEP } else { SMOOTH_GAIN };
             let gains = left < gain * raw_noise;
             // The more samples there are, the less there is to gain; but those of the first round tell little.
@@ -204,7 +216,7 @@ impl Solver<'_, '_> {
         biases: &[Bias],
     ) -> Vec<Squares> {
         let start_noise = self.start_noise();
-        let mut sums = vec![(Squares::default(), 0.0); biases.len() - 1];
+        let mut sums = vec![(Squares::default(), 0.0); biases.len()];
         for i in (0..weights.weight.len()).filter(|&i| weights.weight[i] > 0.0) {
             let (sum, starts) = &mut sums[weights.instance[i] as usize];
             let square = |v: Vec3| weights.weight[i] * f64::from(v.length_squared()) / 3.0;
@@ -216,8 +228,8 @@ impl Solver<'_, '_> {
         let split = |(instance, ((sum, starts), bias)): (usize, ((Squares, f64), &Bias))| {
             let starts = sum.indirect.min(starts);
             let photons = sum.indirect - starts;
-            // Bias is smoothed noise: of what is noisier there is more. What is gathered is not smoothed: called its own,
-            // the bias of direct light had photons asked for that could not lower it.
+            // Bias is smoothed noise: of what is noisier there is more. What is gathered is not smoothed among photons:
+            // called its own, the bias of direct light had photons asked for that could not lower it.
             let smooth = if self.has_gathered(instance) { 0.0 } else { photons };
             let of_direct = sum.soft / (sum.soft + smooth).max(1e-300) * bias.likely();
             Squares {
@@ -244,7 +256,7 @@ impl Solver<'_, '_> {
     }
 
     /// Weights with the sides that are not stored set to 0.
-    fn stored_weights(&self, total: &Halves) -> TexelWeights {
+    pub(super) fn stored_weights(&self, total: &Halves) -> TexelWeights {
         let texels = &self.path.surface.texels.texels[..self.path.surface.texels.mapped];
         let mut weights = self.weights.clone();
         match self.options.double_sided {

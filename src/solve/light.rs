@@ -2,16 +2,11 @@
 //! photons smoothed over cells, or gathered.
 
 use super::{LightPath, Solver, Surface};
-use crate::accuracy::{GATHER_AGAIN, Halves};
-use crate::cell::{Bias, Caught, Element, Gather, NO_CELL, Node, Reconstruction, Samples, SurfaceTree, bias, refined};
-use crate::error::BakeError;
+use crate::accuracy::Halves;
+use crate::cell::{Caught, Compared, Element, Node, Reconstruction, Samples, SurfaceTree, refined};
 use crate::options::{Smoothing, TexelValue};
 use glam::Vec3;
 use rayon::prelude::*;
-use std::time::Instant;
-
-/// Texels that gather between two looks at the clock.
-const GATHER_CHUNK: usize = 4096;
 
 impl Solver<'_, '_> {
     /// Direct light by the samples of each texel alone, without the soft part of it where that is smoothed.
@@ -103,74 +98,6 @@ impl Solver<'_, '_> {
         }
     }
 
-    /// Replaces the indirect light of the meshes that gather it: of those that were to begin when time ran out,
-    /// none that is not done.
-    pub(super) fn gather(&mut self, found: &mut Reconstruction) -> Result<(), BakeError> {
-        let started = Instant::now();
-        let Surface { tree, open, .. } = self.path.surface;
-        let Some(starts) = self.starts.as_ref().filter(|_| self.gathered.iter().any(|&n| n > 0)) else { return Ok(()) };
-        // Gathered once, light stays as it is until more rays are asked for or the map it came from is much better.
-        let fresh: Vec<(usize, (u32, u64))> = (0..self.gathered.len())
-            .filter(|&i| self.gathered[i] > 0)
-            .map(|i| (i, (self.gathered[i], self.photons)))
-            .filter(|&(i, (rays, photons))| {
-                let (had, at) = self.gathered_at[i];
-                had != rays || photons >= GATHER_AGAIN * at
-            })
-            .collect();
-        let mut again = vec![false; self.gathered.len()];
-        fresh.iter().for_each(|f| again[f.0] = true);
-        let instance = |texel: u32| self.weights.instance[texel as usize] as usize;
-        let wanted: Vec<(u32, u32)> = tree
-            .elements
-            .iter()
-            .filter(|e| again[instance(e.texel)])
-            .map(|e| (e.texel, self.gathered[instance(e.texel)]))
-            .collect();
-        let indirect = [0, 1].map(|h| scattered(&tree.elements, &found.values[h], open.len(), Vec3::ZERO));
-        let blur = [0, 1].map(|h| scattered(&tree.elements, &found.sides[h], open.len(), 0.0));
-        let gather = Gather {
-            seed: self.options.seed,
-            light: self.path.light(false),
-            direct: &self.direct,
-            starts,
-            indirect: [&indirect[0], &indirect[1]],
-            blur: [&blur[0], &blur[1]],
-        };
-        let mut done = true;
-        for wanted in wanted.chunks(GATHER_CHUNK) {
-            if self.observer.cancelled() {
-                return Err(BakeError::Cancelled);
-            }
-            if self.out_of_time() {
-                done = false;
-                break;
-            }
-            let light = [0, 1].map(|h| gather.texels(h, wanted));
-            for (j, &(texel, _)) in wanted.iter().enumerate() {
-                self.kept.insert(texel, [light[0].0[j], light[1].0[j]]);
-            }
-            self.gather_rays += light[0].1 + light[1].1;
-        }
-        if done {
-            fresh.iter().for_each(|&(instance, state)| self.gathered_at[instance] = state);
-        }
-        self.seconds[1] += started.elapsed().as_secs_f64();
-        for (k, e) in tree.elements.iter().enumerate().filter(|(_, e)| self.has_gathered(instance(e.texel))) {
-            let light = self.kept[&e.texel];
-            (0..2).for_each(|h| found.values[h][k] = light[h].light);
-            if let Some(cell) = found.cell_of.get_mut(k) {
-                *cell = NO_CELL;
-            }
-        }
-        Ok(())
-    }
-
-    /// Whether the indirect light of an instance is gathered, not that of photons.
-    pub(super) fn has_gathered(&self, instance: usize) -> bool {
-        self.gathered_at[instance].0 > 0
-    }
-
     /// Light of the texels in two halves from that of the elements.
     pub(super) fn texel_halves(&self, found: &Reconstruction) -> Halves {
         let Surface { tree, open, .. } = self.path.surface;
@@ -186,27 +113,17 @@ impl Solver<'_, '_> {
     }
 }
 
-/// Soft light.
+/// Light that is smoothed over cells of its own: soft direct light, or what meshes gathered.
 pub(super) struct Smooth {
-    caught: [Caught; 2],
+    pub(super) caught: [Caught; 2],
     pub(super) found: Reconstruction,
 }
 
 impl Smooth {
-    /// Its own bias, over blocks halved so often, or over single texels.
-    pub(super) fn bias(
-        &self,
-        tree: &SurfaceTree,
-        blocks: Option<(&[Node], u32)>,
-        groups: usize,
-        weight: impl Fn(usize) -> (f64, u32) + Sync,
-    ) -> Vec<Bias> {
-        let (caught, found) = (self.caught.each_ref().map(|c| c.flux.as_slice()), &self.found.values);
-        let values = [found[0].as_slice(), found[1].as_slice()];
-        match blocks {
-            Some((blocks, depth)) => bias(tree, caught, values, blocks, groups, depth, weight),
-            None => bias(tree, caught, values, &tree.cut(|n| n.elements.len() == 1), groups, 0, weight),
-        }
+    /// Before and after.
+    pub(super) fn compared<'a>(&'a self, tree: &'a SurfaceTree) -> Compared<'a> {
+        let found = &self.found.values;
+        Compared { tree, caught: self.caught.each_ref().map(|c| c.flux.as_slice()), values: [&found[0], &found[1]] }
     }
 }
 
@@ -219,23 +136,9 @@ pub(super) struct Smoothed {
 }
 
 impl Smoothed {
-    pub(super) fn bias(
-        &self,
-        tree: &SurfaceTree,
-        instances: usize,
-        depth: u32,
-        weight: impl Fn(usize) -> (f64, u32) + Sync,
-    ) -> Vec<Bias> {
-        let caught = [&self.caught[0], &self.caught[1]];
-        bias(
-            tree,
-            caught.map(Vec::as_slice),
-            [&self.values[0], &self.values[1]],
-            &self.blocks,
-            instances,
-            depth,
-            weight,
-        )
+    /// Before and after.
+    pub(super) fn compared<'a>(&'a self, tree: &'a SurfaceTree) -> Compared<'a> {
+        Compared { tree, caught: [&self.caught[0], &self.caught[1]], values: [&self.values[0], &self.values[1]] }
     }
 
     /// What smoothing adds to or takes from the light that was caught, as a share of it.

@@ -9,10 +9,15 @@
 
 mod audit;
 mod estimate;
+mod forecast;
+mod gathered;
 mod light;
 mod surface;
 
+pub use forecast::LightSeconds;
 pub use surface::Surface;
+
+use forecast::{Falls, Outlook};
 
 use crate::accuracy::{
     Audit, Halves, MeshError, Missed, Spent, TexelError, TexelWeights, Unseen, cheapest_growth, gather_rays,
@@ -21,7 +26,7 @@ use crate::accuracy::{
 use crate::cell::Gathered;
 use crate::error::BakeError;
 use crate::light::{Direct, Emitters, Growth, TexelLight, Visibility};
-use crate::observer::{Observer, Progress, Stage};
+use crate::observer::{Observer, Stage};
 use crate::options::{BakeOptions, Normals};
 use crate::photon::{Bins, EnergyLedger, Flux, Shooting, StartTable};
 use crate::report::{HistoryEntry, RoundSeconds};
@@ -60,9 +65,6 @@ const MOST_MESH_GROWTH: f64 = 4.0;
 
 /// Meshes gather once the error over all is below this many times its target.
 const GATHER_FROM: f64 = 1.5;
-
-/// Share of a time limit that light may take: the maps are yet to be made.
-const TIME_SHARE: f64 = 0.98;
 
 /// Cost of a direct sample in rays of photons: lamps are weighed and texels clipped besides.
 const SAMPLE_COST: f64 = 2.0;
@@ -128,6 +130,8 @@ pub struct Solution {
     pub energy_change: f64,
     /// Squared errors by what lowers them.
     squares: Squares,
+    /// Squared error of the indirect light of the meshes that do not gather it.
+    by_photons: f64,
     /// Meshes above their target.
     missed: Vec<Missed>,
     /// Which limit ended it before the targets were met.
@@ -155,8 +159,8 @@ pub struct Solution {
     pub back_flux: Vec<i64>,
     /// Flux of one integer step [lux x frame units squared].
     pub unit: f64,
-    /// Seconds of direct light, photons, estimates, audits.
-    pub seconds: [f64; 4],
+    /// How long it took.
+    pub seconds: LightSeconds,
 }
 
 /// Work under way.
@@ -188,21 +192,11 @@ struct Solver<'a, 'o> {
     ledger: EnergyLedger,
     /// What an audit found beyond the halves.
     unseen: Option<Unseen>,
-    seconds: [f64; 4],
+    seconds: LightSeconds,
     history: Vec<HistoryEntry>,
     rounds: Vec<RoundSeconds>,
     last: Option<Outlook>,
-}
-
-/// What was known after a round.
-#[derive(Debug, Clone, Copy)]
-struct Outlook {
-    /// Upper end of the interval of the error.
-    percent: f64,
-    /// Rays from the start until the targets are met.
-    rays: f64,
-    /// Seconds that estimates will take until then.
-    estimates: f64,
+    falls: Falls,
 }
 
 /// Solves until the targets of `options` are met or a limit binds. `began` is when the bake began.
@@ -239,10 +233,11 @@ pub fn solve(
         nets: 0,
         ledger: EnergyLedger::default(),
         unseen: None,
-        seconds: [0.0; 4],
+        seconds: LightSeconds::default(),
         history: Vec::new(),
         rounds: Vec::new(),
         last: None,
+        falls: Falls::new(),
     };
     solver.run()
 }
@@ -274,6 +269,9 @@ impl Solver<'_, '_> {
                 && let Some(wish) = self.wish(&solution, MOST_REDUCTION)
             {
                 if let Some(next) = self.bounded(wish) {
+                    self.last = Some(self.outlook(&solution, self.wish(&solution, f64::INFINITY).as_ref()));
+                    let now = self.report_progress()?;
+                    self.rounds.last_mut().into_iter().for_each(|last| *last = RoundSeconds::new(&now));
                     self.observer.stage(Stage::Light);
                     round = next;
                     continue;
@@ -292,10 +290,10 @@ impl Solver<'_, '_> {
         loop {
             let before = self.work();
             let mut stopped = self.trace(&round)?;
-            let (started, tracing) = (Instant::now(), self.seconds[1]);
+            let (started, gather) = (Instant::now(), self.seconds.gather);
             let mut solution = self.solution()?;
-            // Of that, gathering is tracing.
-            self.seconds[2] += started.elapsed().as_secs_f64() - (self.seconds[1] - tracing);
+            self.learn(&solution);
+            self.seconds.estimate += started.elapsed().as_secs_f64() - (self.seconds.gather - gather);
             if self.work() == before {
                 stopped = stopped.or(Some("samples"));
             }
@@ -311,13 +309,9 @@ impl Solver<'_, '_> {
                 high: solution.error.high,
                 forecast_rays,
             });
-            // Rounds to come, each of which ends with an estimate.
-            let reduction = (solution.error.high / self.options.target_percent).powi(2);
-            let rounds = if wish.is_some() { (reduction.ln() / MOST_REDUCTION.ln()).ceil().max(1.0) } else { 0.0 };
-            let estimates = rounds * self.seconds[2] / self.history.len() as f64;
-            self.last = Some(Outlook { percent: solution.error.high, rays: forecast_rays, estimates });
+            self.last = Some(self.outlook(&solution, wish.as_ref()));
             let now = self.report_progress()?;
-            self.rounds.push(RoundSeconds { at: now.elapsed, forecast: now.elapsed + now.remaining.unwrap_or(0.0) });
+            self.rounds.push(RoundSeconds::new(&now));
             let next = self.wish(&solution, MOST_REDUCTION).and_then(|wish| self.bounded(wish));
             if self.seconds_left().is_some_and(|left| left <= 0.0) {
                 stopped = stopped.or(Some("time-limit"));
@@ -364,7 +358,7 @@ impl Solver<'_, '_> {
                 // Where all texels have the most that they may take, none takes any.
                 left = if self.direct.all_samples() == before { 0 } else { left - budget };
             }
-            self.seconds[0] += started.elapsed().as_secs_f64();
+            self.seconds.direct += started.elapsed().as_secs_f64();
             self.report_progress()?;
             if left > 0 && self.out_of_time() {
                 return Ok(Some("time-limit"));
@@ -389,6 +383,7 @@ impl Solver<'_, '_> {
             self.ledger = EnergyLedger::default();
             self.photons = 0;
             self.gathered_at.fill((0, 0));
+            (self.falls, self.last) = (Falls::new(), None);
         }
         let flux = *self.flux.get_or_insert_with(|| Flux::for_total(total));
         let (seed, light) = (self.options.seed, self.path.light(false));
@@ -412,7 +407,7 @@ impl Solver<'_, '_> {
             self.nets += 1;
             self.photons += 1 << bits;
             left = left.saturating_sub(1 << bits);
-            self.seconds[1] += started.elapsed().as_secs_f64();
+            self.seconds.photons += started.elapsed().as_secs_f64();
             started = Instant::now();
             self.report_progress()?;
             if left > 0 && self.out_of_time() {
@@ -429,31 +424,6 @@ impl Solver<'_, '_> {
         self.starts.as_ref().map_or([0.0; 2], |s| [s[0].total(), s[1].total()])
     }
 
-    fn out_of_time(&self) -> bool {
-        self.options.time_limit.is_some_and(|t| self.began.elapsed().as_secs_f64() > t)
-    }
-
-    /// Seconds that light may still take: until the time limit, less those of an estimate.
-    fn seconds_left(&self) -> Option<f64> {
-        let estimate = self.seconds[2] / self.history.len().max(1) as f64;
-        self.options.time_limit.map(|limit| limit * TIME_SHARE - self.began.elapsed().as_secs_f64() - estimate)
-    }
-
-    /// As much of a round as there is time for, of all kinds alike: what comes last would get nothing.
-    fn in_time(&self, mut round: Round) -> Round {
-        let Some(left) = self.seconds_left() else { return round };
-        let per_sample = self.seconds[0] / self.direct.all_samples().max(1) as f64;
-        let per_ray = self.seconds[1] / (self.ledger.rays + self.gather_rays).max(1) as f64;
-        let rays = self.cost(&Round { samples: 0, ..round.clone() });
-        let share = (left / (per_sample * round.samples as f64 + per_ray * rays).max(1e-9)).clamp(0.0, 1.0);
-        if share < 1.0 {
-            round.samples = (round.samples as f64 * share) as u64;
-            round.photons = ((round.photons as f64 * share) as u64).next_multiple_of(1 << LEAST_NET_BITS);
-            round.direct.iter_mut().for_each(|(_, factor)| *factor = 1.0 + (*factor - 1.0) * share);
-        }
-        round
-    }
-
     /// Samples, photons and gather rays so far.
     fn work(&self) -> (u64, u64, u64) {
         (self.direct.all_samples(), self.photons, self.gather_rays)
@@ -463,18 +433,15 @@ impl Solver<'_, '_> {
         self.direct.rays() + self.ledger.rays + self.gather_rays
     }
 
-    fn report_progress(&mut self) -> Result<Progress, BakeError> {
-        let p = progress(self.began, self.options, self.rays(), self.last, self.seconds[0] + self.seconds[1]);
-        self.observer.progress(&p);
-        if self.observer.cancelled() { Err(BakeError::Cancelled) } else { Ok(p) }
-    }
-
     /// Rays that a round takes.
     fn cost(&self, round: &Round) -> f64 {
         let per_sample = self.direct.rays().max(1) as f64 / self.direct.all_samples().max(1) as f64;
-        let per_photon = self.ledger.rays.max(1) as f64 / self.photons.max(1) as f64;
-        let gather: f64 = round.gather.iter().map(|&(i, n)| gather_rays(f64::from(n), self.texels_of[i].len())).sum();
-        per_sample * round.samples as f64 + per_photon * round.photons as f64 + gather
+        let amount = self.amount(round);
+        per_sample * amount.samples + amount.photon_rays + amount.gather_rays
+    }
+
+    fn gather_cost(&self, round: &Round) -> f64 {
+        round.gather.iter().map(|&(i, n)| gather_rays(f64::from(n), self.texels_of[i].len())).sum()
     }
 
     /// The least work that meets the targets by what is known, or lowers the squared error by `most`; `None` where
@@ -498,6 +465,7 @@ impl Solver<'_, '_> {
             direct: s.squares.apart,
             soft: s.squares.soft,
             indirect: s.squares.indirect + unseen,
+            falls: [self.falls.soft.exponent(), self.falls.indirect.exponent()],
             direct_cost: SAMPLE_COST * samples,
             photon_cost: self.ledger.rays.max(1) as f64,
         };
@@ -510,8 +478,9 @@ impl Solver<'_, '_> {
             // What a mesh needs beyond that: most of them get better with the whole.
             let plan = plan_meshes(&s.missed, s.meshes.len() / 20, mesh_target / 100.0, spent.photon_cost, y_all);
             y *= plan.photons / y_all;
-            // Light is gathered from what photons found: not before that is about good enough by itself.
-            if s.error.high <= GATHER_FROM * target {
+            // Light is gathered from what photons found: not before that is about good enough by itself. A look all the
+            // way counts it.
+            if s.error.high <= GATHER_FROM * target || most.is_infinite() {
                 round.gather = plan.gather;
             }
             let beyond = plan.direct.into_iter().map(|(i, factor)| (i, (factor / x_all).min(most * MOST_MESH_GROWTH)));
@@ -544,9 +513,10 @@ impl Solver<'_, '_> {
             sum <= allowed || (first && idle)
         });
         wish.gather = affordable.map(|c| c.1).collect();
-        wish.gather.iter().for_each(|&(instance, rays)| self.gathered[instance] = rays);
         let some = wish.samples > 0 || wish.photons > 0 || !wish.gather.is_empty();
-        some.then(|| self.in_time(wish))
+        let round = some.then(|| self.in_time(wish))?;
+        round.gather.iter().for_each(|&(instance, rays)| self.gathered[instance] = rays);
+        Some(round)
     }
 
     fn exhausted(&self) -> &'static str {
@@ -558,17 +528,4 @@ impl Solver<'_, '_> {
 /// The texels of each (instance, factor).
 fn growing<'a>(texels_of: &'a [Vec<u32>], factors: &[(usize, f64)]) -> Vec<Growth<'a>> {
     factors.iter().map(|&(instance, factor)| Growth { texels: &texels_of[instance], factor }).collect()
-}
-
-fn progress(began: Instant, options: &BakeOptions, rays: u64, last: Option<Outlook>, tracing: f64) -> Progress {
-    let rate = if tracing > 0.0 { rays as f64 / tracing } else { 0.0 };
-    let remaining = last.filter(|_| rate > 0.0).map(|l| (l.rays - rays as f64).max(0.0) / rate + l.estimates);
-    Progress {
-        percent: last.map_or(f64::INFINITY, |l| l.percent),
-        target: options.target_percent,
-        rays,
-        rays_per_second: rate,
-        elapsed: began.elapsed().as_secs_f64(),
-        remaining,
-    }
 }

@@ -74,8 +74,11 @@ pub fn graph(report: &Report) -> Option<String> {
     let interval = |h: &HistoryEntry| {
         [h.low.max(h.percent / MOST_INTERVAL), h.percent, h.high.clamp(h.percent, h.percent * MOST_INTERVAL)]
     };
-    let forecast = |s: &RoundSeconds| s.forecast.clamp(s.at, last.1.at * MOST_FORECAST);
-    let x = Axis::new(rounds.iter().flat_map(|(_, s)| [s.at, forecast(s)]), [LEFT, RIGHT]);
+    // What was foretold, with its band.
+    let forecast = |s: &RoundSeconds| {
+        [s.forecast_low, s.forecast, s.forecast_high].map(|f| f.clamp(s.at, last.1.at * MOST_FORECAST))
+    };
+    let x = Axis::new(rounds.iter().flat_map(|(_, s)| [s.at, forecast(s)[1]]), [LEFT, RIGHT]);
     let y = Axis::new(rounds.iter().flat_map(|(h, _)| interval(h)).chain([target]), [BOTTOM, TOP]);
 
     let mut svg = format!(
@@ -102,11 +105,14 @@ pub fn graph(report: &Report) -> Option<String> {
     svg += &line("target", [LEFT, level], [RIGHT, level]);
     // On the right, where the error is under it by then.
     svg += &text("end", [RIGHT, level - 9.0], &format!("target {target} %"));
-    for (_, s) in &rounds {
-        let at = x.at(forecast(s));
-        let what = format!("said after {}: target met at {}", seconds(s.at), seconds(s.forecast));
+    for (i, (_, s)) in rounds.iter().enumerate() {
+        let [from, at, to] = forecast(s).map(|f| x.at(f));
+        let what = format!("said after {}: target met at {}", seconds(s.at), foretold(s));
         let tick = line("forecast", [at, level - 6.0], [at, level + 6.0]);
-        svg += &format!("<g>{tick}<title>{what}</title></g>\n");
+        // One above the other, the first on top.
+        let height = level - 6.0 + 12.0 * (i as f64 + 0.5) / rounds.len() as f64;
+        let band = line("band", [from, height], [to, height]);
+        svg += &format!("<g>{tick}{band}<title>{what}</title></g>\n");
     }
     let points: Vec<String> = rounds.iter().map(|(h, s)| format!("{:.1},{:.1}", x.at(s.at), y.at(h.percent))).collect();
     svg += &format!("<polyline class=\"error\" points=\"{}\"/>\n", points.join(" "));
@@ -126,6 +132,15 @@ pub fn graph(report: &Report) -> Option<String> {
     }
     svg += "</svg>\n";
     Some(svg)
+}
+
+/// When the targets would be met, with the band.
+pub fn foretold(s: &RoundSeconds) -> String {
+    if s.forecast_high > s.forecast_low {
+        format!("{} ({} to {})", seconds(s.forecast), seconds(s.forecast_low), seconds(s.forecast_high))
+    } else {
+        seconds(s.forecast)
+    }
 }
 
 fn line(class: &str, a: [f64; 2], b: [f64; 2]) -> String {

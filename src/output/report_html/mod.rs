@@ -121,7 +121,7 @@ fn history(r: &Report) -> String {
                 seconds(s.at),
                 figures(h.percent),
                 format!("{} to {}", figures(h.low), figures(h.high)),
-                seconds(s.forecast),
+                graph::foretold(s),
                 count(h.photons),
                 count(h.rays),
             ])
@@ -131,7 +131,8 @@ fn history(r: &Report) -> String {
     format!(
         "<h2>Error against time</h2>\n{graph}\
          <p class=\"soft\">Dots: error measured after each round, with its 95 % interval; the upper end must meet the \
-         target. Ticks on the line of the target: when each round foretold that all targets would be met.</p>\n\
+         target. Ticks on the line of the target: when each round foretold that all targets would be met, \
+         and the bands around that.</p>\n\
          <details>\n<summary>as numbers</summary>\n\
          <div class=\"wide\"><table>\n{head}{rows}</table></div>\n</details>\n"
     )
@@ -276,7 +277,8 @@ fn stages(s: &Seconds) -> String {
         ("buried surface", s.open),
         ("direct light", s.direct),
         ("photons", s.photons),
-        ("errors, gathered light", s.estimate),
+        ("gathering", s.gather),
+        ("errors", s.estimate),
         ("audit", s.audit),
         ("maps", s.finish),
         ("all, without writing files", s.total),

@@ -1,0 +1,174 @@
+//! Indirect light that meshes gather, for which photons are too slow, smoothed over cells of its own where that is
+//! better.
+
+use super::light::{Smooth, scattered};
+use super::{Solver, Surface};
+use crate::accuracy::{CELL_FREEDOM, GATHER_AGAIN};
+use crate::cell::{Bias, Caught, Element, Gather, Gathered, NO_CELL, Node, Reconstruction, SurfaceTree};
+use crate::error::BakeError;
+use crate::options::{Smoothing, TexelValue};
+use glam::Vec3;
+use std::time::Instant;
+
+/// Texels that gather between two looks at the clock.
+const GATHER_CHUNK: usize = 4096;
+
+/// What a mesh gathered is smoothed where less than this share of its squared error is left.
+const SMOOTH_GAIN: f64 = 0.9;
+
+impl Solver<'_, '_> {
+    /// Replaces the indirect light of the meshes that gather it: of those that were to begin when time ran out,
+    /// none that is not done.
+    pub(super) fn gather(&mut self, found: &mut Reconstruction) -> Result<(), BakeError> {
+        let started = Instant::now();
+        let Surface { tree, open, .. } = self.path.surface;
+        let Some(starts) = self.starts.as_ref().filter(|_| self.gathered.iter().any(|&n| n > 0)) else { return Ok(()) };
+        // Gathered once, light stays as it is until more rays are asked for or the map it came from is much better.
+        let fresh: Vec<(usize, (u32, u64))> = (0..self.gathered.len())
+            .filter(|&i| self.gathered[i] > 0)
+            .map(|i| (i, (self.gathered[i], self.photons)))
+            .filter(|&(i, (rays, photons))| {
+                let (had, at) = self.gathered_at[i];
+                had != rays || photons >= GATHER_AGAIN * at
+            })
+            .collect();
+        let mut again = vec![false; self.gathered.len()];
+        fresh.iter().for_each(|f| again[f.0] = true);
+        let instance = |texel: u32| self.weights.instance[texel as usize] as usize;
+        let mut wanted: Vec<(u32, u32)> = tree
+            .elements
+            .iter()
+            .filter(|e| again[instance(e.texel)])
+            .map(|e| (e.texel, self.gathered[instance(e.texel)]))
+            .collect();
+        wanted.sort_by_key(|w| instance(w.0));
+        let indirect = [0, 1].map(|h| scattered(&tree.elements, &found.values[h], open.len(), Vec3::ZERO));
+        let blur = [0, 1].map(|h| scattered(&tree.elements, &found.sides[h], open.len(), 0.0));
+        let gather = Gather {
+            seed: self.options.seed,
+            light: self.path.light(false),
+            direct: &self.direct,
+            starts,
+            indirect: [&indirect[0], &indirect[1]],
+            blur: [&blur[0], &blur[1]],
+        };
+        let mut done: Vec<[Gathered; 2]> = Vec::with_capacity(wanted.len());
+        for wanted in wanted.chunks(GATHER_CHUNK) {
+            if self.observer.cancelled() {
+                return Err(BakeError::Cancelled);
+            }
+            if self.out_of_time() {
+                break;
+            }
+            let light = [0, 1].map(|h| gather.texels(h, wanted));
+            done.extend(light[0].0.iter().zip(&light[1].0).map(|(odd, even)| [*odd, *even]));
+            self.gather_rays += light[0].1 + light[1].1;
+        }
+        for (i, state) in fresh {
+            let texels = wanted.partition_point(|w| instance(w.0) < i)..wanted.partition_point(|w| instance(w.0) <= i);
+            if texels.end <= done.len() {
+                self.kept.extend(texels.map(|j| (wanted[j].0, done[j])));
+                self.gathered_at[i] = state;
+            }
+        }
+        self.seconds.gather += started.elapsed().as_secs_f64();
+        for (k, e) in tree.elements.iter().enumerate().filter(|(_, e)| self.has_gathered(instance(e.texel))) {
+            let light = self.kept[&e.texel];
+            (0..2).for_each(|h| found.values[h][k] = light[h].light);
+            if let Some(cell) = found.cell_of.get_mut(k) {
+                *cell = NO_CELL;
+            }
+        }
+        Ok(())
+    }
+
+    /// Whether the indirect light of an instance is gathered, not that of photons.
+    pub(super) fn has_gathered(&self, instance: usize) -> bool {
+        self.gathered_at[instance].0 > 0
+    }
+
+    /// Smooths what meshes gathered, which stands in `found`, over cells of its own. Among photons it would be lost: they
+    /// tell much less, and cells would be as large as they need.
+    pub(super) fn smooth_gathered(&self, found: &mut Reconstruction) -> SmoothGathered {
+        let instances = self.gathered.len();
+        let mut done = SmoothGathered::none(instances);
+        let Surface { tree: all, open, .. } = self.path.surface;
+        let instance = |e: &Element| self.weights.instance[e.texel as usize] as usize;
+        let elements: Vec<Element> = all.elements.iter().filter(|e| self.has_gathered(instance(e))).copied().collect();
+        if elements.is_empty() || self.options.smoothing == Smoothing::None {
+            return done;
+        }
+        let tree = SurfaceTree::of(elements);
+        let caught = [0, 1].map(|h| self.gathered_caught(&tree, h));
+        let smooth = Reconstruction::new(&tree, [&caught[0], &caught[1]], self.path.visibility.accel);
+        let light = Smooth { caught, found: smooth };
+        let weights = self.stored_weights(&self.direct_halves(false).plus(&self.texel_halves(found)));
+        let whole = self.options.texel_value == TexelValue::Mean;
+        let weight = |k: usize| {
+            let texel = tree.elements[k].texel as usize;
+            // A mean over buried area as well errs in its open share alone.
+            weights.weight[texel] * if whole { f64::from(open[texel]).powi(2) } else { 1.0 }
+        };
+        // Bias is looked for texel by texel, as that of direct light.
+        let (compared, blocks) = (light.compared(&tree), &light.found.blocks);
+        let of = |k: usize| (weight(k), instance(&tree.elements[k]) as u32);
+        let biases = compared.biases(blocks, u32::MAX, instances, of);
+        // Squared noise before and after.
+        let square = |k: usize, [odd, even]: [Vec3; 2]| weight(k) * f64::from((odd - even).length_squared()) / 12.0;
+        let smooth = |k: usize| square(k, [0, 1].map(|h| light.found.values[h][k]));
+        let mut noise = vec![[0.0; 2]; instances];
+        for (k, e) in tree.elements.iter().enumerate() {
+            let [before, after] = &mut noise[instance(e)];
+            *before += square(k, self.kept[&e.texel].map(|g| g.light));
+            *after += smooth(k);
+        }
+        for (i, [before, after]) in noise.into_iter().enumerate() {
+            if after + biases[i].likely() < SMOOTH_GAIN * before {
+                (done.biases[i], done.left[i]) = (biases[i], Some(after / before));
+            }
+        }
+        let of_block = |b: &Node| -> f64 {
+            let smoothed = b.elements.clone().filter(|&k| done.left[instance(&tree.elements[k])].is_some());
+            2.0 / CELL_FREEDOM * smoothed.map(smooth).sum::<f64>().powi(2)
+        };
+        done.variance = blocks.iter().map(of_block).sum();
+        let values = [0, 1].map(|h| scattered(&tree.elements, &light.found.values[h], open.len(), Vec3::ZERO));
+        for (k, e) in all.elements.iter().enumerate().filter(|(_, e)| done.left[instance(e)].is_some()) {
+            (0..2).for_each(|h| found.values[h][k] = values[h][e.texel as usize]);
+        }
+        done
+    }
+
+    /// What the elements of `tree` gathered in one half.
+    fn gathered_caught(&self, tree: &SurfaceTree, half: usize) -> Caught {
+        let gathered = |e: &Element| self.kept[&e.texel][half];
+        let variance = |e: &Element| {
+            // Rays that agree by chance are not as good as they look.
+            let n = f64::from(self.gathered_at[self.weights.instance[e.texel as usize] as usize].0);
+            let likely = f64::from(gathered(e).light.length_squared()) / (3.0 * n * (n + 2.0));
+            f64::from(gathered(e).variance).max(likely) * f64::from(e.area).powi(2)
+        };
+        Caught {
+            flux: tree.elements.iter().map(|e| (gathered(e).light * e.area).to_array()).collect(),
+            variance: tree.elements.iter().map(variance).collect(),
+            // Detail that cells do not tell is noise here for the most part: rays are dear, and few.
+            samples: None,
+        }
+    }
+}
+
+/// What smoothing did to the light that was gathered.
+pub(super) struct SmoothGathered {
+    /// Its bias for each instance.
+    pub(super) biases: Vec<Bias>,
+    /// Variance of the sum of its squared noise.
+    pub(super) variance: f64,
+    /// Share of the squared noise of each instance that is left; `None` where it is not smoothed.
+    pub(super) left: Vec<Option<f64>>,
+}
+
+impl SmoothGathered {
+    fn none(instances: usize) -> SmoothGathered {
+        SmoothGathered { variance: 0.0, biases: vec![Bias::default(); instances], left: vec![None; instances] }
+    }
+}
