@@ -113,8 +113,12 @@ impl Falls {
 }
 
 impl Solver<'_, '_> {
-    /// Learns from a round how errors fall.
+    /// Learns from a round how errors fall. That of the first, of a few samples each, is itself not known well: nothing
+    /// is learnt from it.
     pub(super) fn learn(&mut self, solution: &Solution) {
+        if self.history.is_empty() {
+            return;
+        }
         self.falls.learn(Mark {
             soft: solution.squares.soft,
             indirect: solution.by_photons,
