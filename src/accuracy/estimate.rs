@@ -175,7 +175,7 @@ impl TexelError {
 const BLOCK: usize = 64;
 
 /// Degrees of freedom of the noise in a block of a cell's size: a mean and two slopes.
-pub const CELL_FREEDOM: f64 = 3.0;
+const CELL_FREEDOM: f64 = 3.0;
 
 /// Rec. 709 luminance.
 fn luminance(c: Vec3) -> f64 {
@@ -298,6 +298,11 @@ fn apart_variance(blocks: &[Sums]) -> f64 {
     pairs + last
 }
 
+/// Variance of the squared noise of smoothed light, summed to `square` over a block of a cell's size.
+pub fn block_variance(square: f64) -> f64 {
+    2.0 / CELL_FREEDOM * square * square
+}
+
 /// Variance of the sum of the squared noise of the smoothed light, from what each block adds to it.
 fn smoothed_variance(known: &Known) -> f64 {
     let Known { total, apart, weights, tree, blocks, .. } = *known;
@@ -306,7 +311,7 @@ fn smoothed_variance(known: &Known) -> f64 {
             let i = tree.elements[k].texel as usize;
             weights.weight[i] * f64::from((total.difference(i) - apart.difference(i)).length_squared()) / 3.0
         };
-        2.0 / CELL_FREEDOM * b.elements.clone().map(of).sum::<f64>().powi(2)
+        block_variance(b.elements.clone().map(of).sum())
     };
     let terms: Vec<f64> = blocks.par_iter().map(term).collect();
     terms.iter().sum()

@@ -81,22 +81,10 @@ impl Compared<'_> {
             let (mut sums, mut parts) = (Vec::<(u32, Bias)>::new(), Vec::<(u32, Part)>::new());
             self.halved(block, depth, &mut |elements| {
                 for ((weight, group), k) in elements.map(|k| (weight(k), k)).filter(|p| p.0.0 > 0.0) {
-                    let one = self.part(k, weight);
-                    match parts.iter_mut().find(|p| p.0 == group) {
-                        Some((_, part)) => *part = part.with(&one),
-                        None => parts.push((group, one)),
-                    }
+                    let part = of_group(&mut parts, group);
+                    *part = part.with(&self.part(k, weight));
                 }
-                for (group, part) in parts.drain(..) {
-                    match sums.iter_mut().find(|s| s.0 == group) {
-                        Some((_, sum)) => sum.add(part.square()),
-                        None => {
-                            let mut sum = Bias::default();
-                            sum.add(part.square());
-                            sums.push((group, sum));
-                        }
-                    }
-                }
+                parts.drain(..).for_each(|(group, part)| of_group(&mut sums, group).add(part.square()));
             });
             sums
         };
@@ -123,8 +111,17 @@ impl Compared<'_> {
     }
 }
 
+/// What belongs to a group, of which there are few.
+fn of_group<T: Default>(all: &mut Vec<(u32, T)>, group: u32) -> &mut T {
+    let i = all.iter().position(|entry| entry.0 == group).unwrap_or_else(|| {
+        all.push((group, T::default()));
+        all.len() - 1
+    });
+    &mut all[i].1
+}
+
 /// Some elements of a block.
-#[derive(Clone, Copy)]
+#[derive(Clone, Copy, Default)]
 struct Part {
     weight: f64,
     area: f64,

@@ -62,13 +62,10 @@ impl Solver<'_, '_> {
         let total = direct.plus(&indirect);
         let weights = self.stored_weights(&total);
 
-        let whole = self.options.texel_value == TexelValue::Mean;
         let weight = |k: usize| {
             let i = tree.elements[k].texel as usize;
-            // A mean over buried area as well errs in its open share alone.
-            let share = if whole { f64::from(open[i]).powi(2) } else { 1.0 };
             let smooth = soft.is_some() || !self.has_gathered(weights.instance[i] as usize);
-            (if smooth { weights.weight[i] * share } else { 0.0 }, weights.instance[i])
+            (if smooth { self.open_weight(&weights, i) } else { 0.0 }, weights.instance[i])
         };
         let smoothed = self.smoothed(&caught, &found, soft.as_ref().map(|s| &s.light));
         let (mut whole_bias, mut biases) = (Bias::default(), vec![Bias::default(); instances]);
@@ -253,6 +250,13 @@ impl Solver<'_, '_> {
             }
         }
         sums
+    }
+
+    /// Weight of an error of the light of a texel's open part: a mean over buried area as well errs in that share alone.
+    pub(super) fn open_weight(&self, weights: &TexelWeights, texel: usize) -> f64 {
+        let whole = self.options.texel_value == TexelValue::Mean;
+        let share = if whole { f64::from(self.path.surface.open[texel]).powi(2) } else { 1.0 };
+        weights.weight[texel] * share
     }
 
     /// Weights with the sides that are not stored set to 0.

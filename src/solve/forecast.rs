@@ -185,7 +185,7 @@ impl Solver<'_, '_> {
     /// that would be done by then, and of the rest all kinds alike, for what comes last would get nothing.
     pub(super) fn in_time(&self, mut round: Round) -> Round {
         let Some(left) = self.seconds_left() else { return round };
-        while !round.gather.is_empty() && self.gather_cost(&round) * self.rates().gather_rays > left {
+        while !round.gather.is_empty() && self.gather_cost(&round.gather) * self.rates().gather_rays > left {
             round.gather.pop();
         }
         let share = (left / self.amount(&round).times(&self.rates()).max(1e-9)).clamp(0.0, 1.0);
@@ -210,7 +210,7 @@ impl Solver<'_, '_> {
         Work {
             samples: round.samples as f64,
             photon_rays: per_photon * round.photons as f64,
-            gather_rays: self.gather_cost(round),
+            gather_rays: self.gather_cost(&round.gather),
         }
     }
 

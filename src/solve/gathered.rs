@@ -3,10 +3,10 @@
 
 use super::light::{Smooth, scattered};
 use super::{Solver, Surface};
-use crate::accuracy::{CELL_FREEDOM, GATHER_AGAIN};
+use crate::accuracy::{GATHER_AGAIN, block_variance};
 use crate::cell::{Bias, Caught, Element, Gather, Gathered, NO_CELL, Node, Reconstruction, SurfaceTree};
 use crate::error::BakeError;
-use crate::options::{Smoothing, TexelValue};
+use crate::options::Smoothing;
 use glam::Vec3;
 use std::time::Instant;
 
@@ -103,12 +103,7 @@ impl Solver<'_, '_> {
         let smooth = Reconstruction::new(&tree, [&caught[0], &caught[1]], self.path.visibility.accel);
         let light = Smooth { caught, found: smooth };
         let weights = self.stored_weights(&self.direct_halves(false).plus(&self.texel_halves(found)));
-        let whole = self.options.texel_value == TexelValue::Mean;
-        let weight = |k: usize| {
-            let texel = tree.elements[k].texel as usize;
-            // A mean over buried area as well errs in its open share alone.
-            weights.weight[texel] * if whole { f64::from(open[texel]).powi(2) } else { 1.0 }
-        };
+        let weight = |k: usize| self.open_weight(&weights, tree.elements[k].texel as usize);
         // Bias is looked for texel by texel, as that of direct light.
         let (compared, blocks) = (light.compared(&tree), &light.found.blocks);
         let of = |k: usize| (weight(k), instance(&tree.elements[k]) as u32);
@@ -129,7 +124,7 @@ impl Solver<'_, '_> {
         }
         let of_block = |b: &Node| -> f64 {
             let smoothed = b.elements.clone().filter(|&k| done.left[instance(&tree.elements[k])].is_some());
-            2.0 / CELL_FREEDOM * smoothed.map(smooth).sum::<f64>().powi(2)
+            block_variance(smoothed.map(smooth).sum())
         };
         done.variance = blocks.iter().map(of_block).sum();
         let values = [0, 1].map(|h| scattered(&tree.elements, &light.found.values[h], open.len(), Vec3::ZERO));

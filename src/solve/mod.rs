@@ -255,6 +255,12 @@ struct Round {
     gather: Vec<(usize, u32)>,
 }
 
+impl Round {
+    fn is_empty(&self) -> bool {
+        self.samples == 0 && self.photons == 0 && self.gather.is_empty()
+    }
+}
+
 impl Solver<'_, '_> {
     fn run(&mut self) -> Result<Solution, BakeError> {
         let bits = (self.path.surface.texels.texels.len().max(1).ilog2())
@@ -268,15 +274,17 @@ impl Solver<'_, '_> {
             if solution.limit.is_none()
                 && let Some(wish) = self.wish(&solution, MOST_REDUCTION)
             {
-                if let Some(next) = self.bounded(wish) {
-                    self.last = Some(self.outlook(&solution, self.wish(&solution, f64::INFINITY).as_ref()));
-                    let now = self.report_progress()?;
-                    self.rounds.last_mut().into_iter().for_each(|last| *last = RoundSeconds::new(&now));
-                    self.observer.stage(Stage::Light);
-                    round = next;
-                    continue;
+                match self.bounded(wish) {
+                    Ok(next) => {
+                        self.last = Some(self.outlook(&solution, self.wish(&solution, f64::INFINITY).as_ref()));
+                        let now = self.report_progress()?;
+                        self.rounds.last_mut().into_iter().for_each(|last| *last = RoundSeconds::new(&now));
+                        self.observer.stage(Stage::Light);
+                        round = next;
+                        continue;
+                    }
+                    Err(limit) => solution.limit = Some(limit),
                 }
-                solution.limit = Some(self.exhausted());
             }
             solution.history = std::mem::take(&mut self.history);
             solution.rounds = std::mem::take(&mut self.rounds);
@@ -312,14 +320,15 @@ impl Solver<'_, '_> {
             self.last = Some(self.outlook(&solution, wish.as_ref()));
             let now = self.report_progress()?;
             self.rounds.push(RoundSeconds::new(&now));
-            let next = self.wish(&solution, MOST_REDUCTION).and_then(|wish| self.bounded(wish));
+            let Some(wish) = self.wish(&solution, MOST_REDUCTION) else { return Ok(solution) };
+            let next = self.bounded(wish);
             if self.seconds_left().is_some_and(|left| left <= 0.0) {
                 stopped = stopped.or(Some("time-limit"));
             }
-            match next.filter(|_| stopped.is_none()) {
-                Some(next) => round = next,
-                None => {
-                    solution.limit = wish.and(stopped.or(Some(self.exhausted())));
+            match (stopped, next) {
+                (None, Ok(next)) => round = next,
+                (stopped, next) => {
+                    solution.limit = stopped.or(next.err());
                     return Ok(solution);
                 }
             }
@@ -440,8 +449,9 @@ impl Solver<'_, '_> {
         per_sample * amount.samples + amount.photon_rays + amount.gather_rays
     }
 
-    fn gather_cost(&self, round: &Round) -> f64 {
-        round.gather.iter().map(|&(i, n)| gather_rays(f64::from(n), self.texels_of[i].len())).sum()
+    /// Rays that (instance, gather rays of each texel and half) take.
+    fn gather_cost(&self, gather: &[(usize, u32)]) -> f64 {
+        gather.iter().map(|&(i, n)| gather_rays(f64::from(n), self.texels_of[i].len())).sum()
     }
 
     /// The least work that meets the targets by what is known, or lowers the squared error by `most`; `None` where
@@ -494,8 +504,8 @@ impl Solver<'_, '_> {
         Some(round)
     }
 
-    /// `wish`, bounded in growth and time; `None` where no work is left that would help. Notes which meshes gather.
-    fn bounded(&mut self, mut wish: Round) -> Option<Round> {
+    /// `wish`, bounded in growth and time; the limit where no work is left that would help. Notes which meshes gather.
+    fn bounded(&mut self, mut wish: Round) -> Result<Round, &'static str> {
         let most = |n: u64| (n as f64 * (MOST_GROWTH - 1.0)) as u64;
         wish.samples = wish.samples.min(most(self.direct.all_samples()));
         wish.photons = wish.photons.min(most(self.photons)).next_multiple_of(1 << LEAST_NET_BITS);
@@ -503,8 +513,7 @@ impl Solver<'_, '_> {
         // is nothing else to do.
         let allowed = most(self.rays()) as f64;
         let idle = wish.samples == 0 && wish.photons == 0;
-        let only = |g: &(usize, u32)| Round { gather: vec![*g], ..Round::default() };
-        let mut costs: Vec<(f64, (usize, u32))> = wish.gather.iter().map(|g| (self.cost(&only(g)), *g)).collect();
+        let mut costs: Vec<(f64, (usize, u32))> = wish.gather.iter().map(|g| (self.gather_cost(&[*g]), *g)).collect();
         costs.sort_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
         let mut sum = 0.0;
         let affordable = costs.into_iter().take_while(|c| {
@@ -513,10 +522,15 @@ impl Solver<'_, '_> {
             sum <= allowed || (first && idle)
         });
         wish.gather = affordable.map(|c| c.1).collect();
-        let some = wish.samples > 0 || wish.photons > 0 || !wish.gather.is_empty();
-        let round = some.then(|| self.in_time(wish))?;
+        if wish.is_empty() {
+            return Err(self.exhausted());
+        }
+        let round = self.in_time(wish);
+        if round.is_empty() {
+            return Err("time-limit");
+        }
         round.gather.iter().for_each(|&(instance, rays)| self.gathered[instance] = rays);
-        Some(round)
+        Ok(round)
     }
 
     fn exhausted(&self) -> &'static str {
