@@ -120,6 +120,7 @@ fn bake_here<'s>(scene: &'s Scene, options: &BakeOptions, observer: &mut dyn Obs
             100.0 * p.share
         )
     }));
+    report.skips.extend(unseen_skip(scene, &atlas));
     report.warnings.extend(coincident_warning(&world, &parted));
     (report.work.emissive_triangles, report.work.lights) = emitters.counts();
     report.work.probe_rays = probe_rays;
@@ -224,6 +225,17 @@ fn report(
     };
     report.set_texel_error(&solution.error);
     report
+}
+
+/// Nodes on which nobody would see a map.
+fn unseen_skip(scene: &Scene, atlas: &Atlas) -> Option<String> {
+    let first = &scene.instances[*atlas.unseen.first()?].name;
+    Some(format!(
+        "maps: {} of {} nodes are metal, glass or black all over, {first} for one, and would not show any; --only bakes \
+         what it names",
+        atlas.unseen.len(),
+        scene.instances.len(),
+    ))
 }
 
 /// Share of all photons' flux that the backs of one node must meet to be worth a warning.

@@ -8,7 +8,7 @@ use evenlight::atlas::{Atlas, NO_CHART, XatlasWorker, build, check};
 use evenlight::options::{BakeOptions, Density, Unwrapper, UvSource};
 use evenlight::scene::{Instance, Material, Mesh, Primitive, Scene, TriangleRef, gltf};
 use evenlight::{BakeError, Warning};
-use glam::{DAffine3, DMat3, DVec2, DVec3, Vec2, Vec3};
+use glam::{DAffine3, DMat3, DVec2, DVec3, Vec2, Vec3, Vec4};
 use std::collections::HashMap;
 use std::f64::consts::TAU;
 use std::time::{Duration, Instant};
@@ -487,6 +487,36 @@ fn selection() {
     options = BakeOptions { density: Density::TexelsPerMetre(f64::NAN), ..BakeOptions::default() };
     assert!(matches!(build(&s, &options, &|| false), Err(BakeError::Options(_))));
     assert!(matches!(build(&s, &BakeOptions::default(), &|| true), Err(BakeError::Cancelled)));
+}
+
+/// Nobody would see a map on a mirror: it gets none, unless it is asked for or nothing else is there.
+#[test]
+fn what_shows_no_diffuse_light_gets_no_map() {
+    let mut s = scene(
+        vec![cuboid(Vec3::ZERO, Vec3::ONE), cuboid(Vec3::ZERO, Vec3::ONE)],
+        vec![(0, DAffine3::IDENTITY), (1, DAffine3::IDENTITY)],
+    );
+    let placed = |s: &Scene, o: &BakeOptions| {
+        let a = atlas(s, o);
+        (a.placements.iter().map(Option::is_some).collect::<Vec<_>>(), a.unseen)
+    };
+    for unseen in [
+        Material { metallic: 1.0, ..Material::default() },
+        Material { transmission: 1.0, ..Material::default() },
+        Material { base_color: Vec4::W, ..Material::default() },
+    ] {
+        s.materials = vec![Material::default(), unseen];
+        s.meshes[1].primitives[0].material = 1;
+        assert_eq!(placed(&s, &options(128)), (vec![true, false], vec![1]));
+        let only = BakeOptions { only: vec!["thing 1".into()], ..options(128) };
+        assert_eq!(placed(&s, &only), (vec![false, true], vec![]));
+        s.meshes[0].primitives[0].material = 1;
+        assert_eq!(placed(&s, &options(128)), (vec![true, true], vec![]));
+        s.meshes[0].primitives[0].material = 0;
+    }
+    // Half a metal shows half of it.
+    s.materials[1] = Material { metallic: 0.5, ..Material::default() };
+    assert_eq!(placed(&s, &options(128)), (vec![true, true], vec![]));
 }
 
 #[test]

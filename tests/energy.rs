@@ -49,7 +49,9 @@ fn sheets() -> Vec<(&'static str, Material)> {
         ("mask, absent", Material { alpha: Alpha::Mask { cutoff: 0.75 }, ..tinted.clone() }),
         ("transmission", Material { transmission: 0.7, ..tinted.clone() }),
         ("transmission, blend", Material { transmission: 0.7, alpha: Alpha::Blend, ..tinted.clone() }),
+        ("transmission, solid", Material { transmission: 0.7, solid: true, ..tinted.clone() }),
         ("metal", Material { metallic: 1.0, ..tinted.clone() }),
+        ("half metal, half glass", Material { metallic: 0.5, roughness: 0.3, transmission: 1.0, ..tinted.clone() }),
         ("unlit", Material { unlit: true, ..tinted.clone() }),
         ("emitter", Material { emission: Vec3::ONE, double_sided: true, ..tinted }),
     ]
@@ -115,7 +117,7 @@ fn photons_weigh_the_same_all_the_way() {
             trail.deposits.clear();
             let direction = Vec3::from_array(std::array::from_fn(|_| random.normal() as f32));
             let ray = Ray { origin: world.frame.from_world(glam::DVec3::splat(2.2)), direction, t_max: f32::INFINITY };
-            let photon = Photon { ray, flux: [1 << 24, 1 << 23, 1 << 22] };
+            let photon = Photon { ray, flux: [1 << 24, 1 << 23, 1 << 22], caustic: true };
             let mut ledger = EnergyLedger::default();
             walk(photon, &visibility, 0.0, || (random.unit() * 4_294_967_296.0) as u32, &mut trail, &mut ledger);
             assert_eq!(ledger.imbalance(), [0; 3], "{what}");

@@ -90,6 +90,7 @@ fn sheets_in_the_open() {
     let glass = b.material(Material {
         base_color: Vec4::new(0.3, 0.9, 0.6, 1.0),
         transmission: 0.7,
+        ior: 1.0,
         double_sided: true,
         ..Material::default()
     });

@@ -7,7 +7,7 @@
 
 use super::estimate::{Halves, TexelError, TexelWeights, Unseen, spread};
 use super::interval::{Moments, TWO_SIDED_95};
-use crate::accel::{Ray, offset_origin};
+use crate::accel::{Hit, Ray, offset_origin};
 use crate::atlas::TexelSampler;
 use crate::light::{Receiver, SAMPLE_DIMENSIONS, TexelLight};
 use crate::photon::MOST_CREVICE_STEPS;
@@ -109,6 +109,8 @@ pub struct Auditor<'a> {
     pub light: TexelLight<'a>,
     /// The map.
     pub total: &'a Halves,
+    /// Of it what came from lamps over mirrors and through glass, which paths do not find: it is taken as it is.
+    pub caustic: Option<&'a Halves>,
     /// How its texels count.
     pub weights: &'a TexelWeights,
     /// Mean over the whole of each texel, not its open part alone.
@@ -228,11 +230,19 @@ impl Auditor<'_> {
                 squares += f64::from(light.length_squared());
             }
             let n = paths as f32;
-            *value = sum / (n * open.max(1e-6));
+            *value = sum / (n * open.max(1e-6)) + self.caustic.map_or(Vec3::ZERO, |c| c.mean(texel));
             let scatter = squares / f64::from(n) - f64::from((sum / n).length_squared());
             out.scatter += scatter.max(0.0) / (6.0 * f64::from(open.max(1e-6)).powi(2));
         }
         out
+    }
+
+    /// Irradiance (lux) that lamps send over mirrors and through glass to where light arrives.
+    fn caustic(&self, hit: &Hit, met: &Met, arriving: Vec3) -> Vec3 {
+        let Some(caustic) = self.caustic else { return Vec3::ZERO };
+        let uv = self.light.visibility.world.hair_before(hit.triangle, Vec2::new(hit.u, hit.v), arriving);
+        let texel = self.light.texels.at(hit.triangle, met.back, uv).map(|t| t as usize);
+        texel.filter(|&t| t < self.light.texels.mapped).map_or(Vec3::ZERO, |t| caustic.mean(t))
     }
 
     /// Radiosity that comes back to `at` along `direction`, by one path.
@@ -250,23 +260,32 @@ impl Auditor<'_> {
                 break;
             }
             let uv = Vec2::new(hit.u, hit.v);
-            let Met { facing, reflected: albedo, passed, .. } = world.meet(hit.triangle, uv, ray.direction);
+            let met = world.meet(hit.triangle, uv, ray.direction);
+            let Met { facing, reflected: albedo, passed, .. } = met;
             let lit = Receiver::met(world, hit.triangle, uv, facing, ray.direction, hit.t);
             if albedo != Vec3::ZERO {
-                sum += carried * reflecting.any_light(lit, stream, rays).sent;
+                let caustic = self.caustic(&hit, &met, ray.direction);
+                sum += carried * (reflecting.any_light(lit, stream, rays).sent + albedo * caustic);
             }
+            let bounce = world.bounce((hit.triangle, uv), &met, ray.direction, hit.t, || stream.unit());
+            let thrown = bounce.map_or(Vec3::ZERO, |b| b.importance());
             // Roulette by what is left of the path.
-            let (r, p) = ((carried * albedo).max_element(), (carried * passed).max_element());
-            let whole = (r + p).max(1e-30);
+            let [r, s, p] = [albedo, thrown, passed].map(|share| (carried * share).max_element());
+            let whole = (r + s + p).max(1e-30);
             let alive = whole.min(1.0);
             let pick = stream.unit() * (whole / alive);
+            let beyond = || offset_origin(world.position(hit.triangle, uv), -facing, world.extent(hit.triangle));
             if pick < r {
                 carried *= albedo * (whole / (r * alive));
                 let direction = cosine_hemisphere(facing, Vec2::new(stream.unit(), stream.unit()));
                 ray = Ray { origin: lit.origin, direction, t_max: f32::INFINITY };
-            } else if pick < r + p {
+            } else if let Some(b) = bounce.filter(|_| pick < r + s) {
+                carried *= thrown * (whole / (s * alive));
+                let origin = if b.through { beyond() } else { lit.origin };
+                ray = Ray { origin, direction: b.direction, t_max: f32::INFINITY };
+            } else if pick < r + s + p {
                 carried *= passed * (whole / (p * alive));
-                ray.origin = offset_origin(world.position(hit.triangle, uv), -facing, world.extent(hit.triangle));
+                ray.origin = beyond();
             } else {
                 break;
             }

@@ -102,6 +102,8 @@ pub struct Missed {
     pub direct: f64,
     /// Squared error of its indirect light, likewise.
     pub indirect: f64,
+    /// Squared error of light from lamps over mirrors and through glass, likewise: no mesh can gather that.
+    pub caustic: f64,
     /// Texels with surface.
     pub texels: usize,
     /// Rays that each of its texels gathers indirect light with, per half; 0 while photons are to do.
@@ -156,6 +158,8 @@ pub fn plan_meshes(missed: &[Missed], spared: usize, target: f64, photon_cost: f
     /// About half of the squared target for direct light, half for indirect light: estimates scatter, and one more round
     /// for a mesh that just missed its target costs more than it saves.
     const SHARE: f64 = 0.43;
+    /// Of the latter, what may be left in caustics.
+    const CAUSTIC_SHARE: f64 = 0.25;
     let alone = GATHER_SCATTER / (2.0 * SHARE * target * target);
     let bounded = |samples: f64| samples.clamp(*GATHER_RANGE.start(), *GATHER_RANGE.end()).ceil();
     let samples = |m: &Missed| match m.gathered {
@@ -165,6 +169,7 @@ pub fn plan_meshes(missed: &[Missed], spared: usize, target: f64, photon_cost: f
     };
     let cost = |m: &Missed| GATHER_RAY_COST * gather_rays(samples(m), m.texels);
     let photons_for = |m: &Missed| libm::pow(m.indirect / SHARE, 1.0 / SMOOTH_FALL);
+    let photons_for_caustics = |m: &Missed| libm::pow(m.caustic / CAUSTIC_SHARE, 1.0 / SMOOTH_FALL);
     // What is gathered errs by its rays, or by the light that they look up. In a few texels this is hard to tell, and
     // more rays cost next to nothing.
     let hungry = |m: &&Missed| {
@@ -172,13 +177,17 @@ pub fn plan_meshes(missed: &[Missed], spared: usize, target: f64, photon_cost: f
         m.gathered > 0 && by_rays && samples(m) > f64::from(m.gathered)
     };
     let waits = |m: &&Missed| m.gathered > 0 && !hungry(m);
-    let price = |m: &Missed| if waits(&m) { photon_cost * photons_for(m).max(GATHER_AGAIN as f64) } else { cost(m) };
+    let price = |m: &Missed| {
+        let looked_up = if waits(&m) { photon_cost * photons_for(m).max(GATHER_AGAIN as f64) } else { cost(m) };
+        looked_up.max(photon_cost * photons_for_caustics(m))
+    };
     let mut meshes: Vec<&Missed> = missed.iter().collect();
     meshes.sort_by(|a, b| price(b).total_cmp(&price(a)).then(a.instance.cmp(&b.instance)));
     let meshes = &meshes[spared.min(meshes.len())..];
     let dim = || meshes.iter().copied().filter(|m| m.indirect > SHARE);
 
     let least = dim().filter(waits).map(|m| photons_for(m).max(GATHER_AGAIN as f64)).fold(anyway, f64::max);
+    let least = meshes.iter().map(|m| photons_for_caustics(m)).fold(least, f64::max);
 
     // Photon growth that each of the others would need, the largest first: those above a line gather, the rest
     // wait for photons to grow up to it.
@@ -272,6 +281,7 @@ mod tests {
             instance,
             direct: 0.1,
             indirect,
+            caustic: 0.0,
             texels,
             gathered: 0,
             of_rays: 0.0,

@@ -2,7 +2,7 @@
 
 use super::chart::charts_of;
 use super::density::{Layout, Unit, UnitLayout, full_density, lay_out};
-use super::select::baked_instances;
+use super::select::{Selected, select};
 use super::unwrap::{IGNORED, JoinedMesh, Limits, UnwrapError, Unwrapped, Unwrapper, default_time_limit, unwrap_mesh};
 use super::uvunwrap::Uvunwrap;
 use super::xatlas::XatlasWorker;
@@ -37,7 +37,7 @@ pub fn build(scene: &Scene, options: &BakeOptions, cancelled: &(dyn Fn() -> bool
     match options.uv {
         UvSource::Keep => {
             check_options(options)?;
-            keep::keep(scene, options, &baked_instances(scene, options)?)
+            keep::keep(scene, options, &select(scene, options)?.baked)
         }
         UvSource::Generate => Unwrapping::new(scene, options, cancelled)?.lay_out(options, cancelled),
     }
@@ -80,6 +80,7 @@ pub struct Unwrapping<'s> {
     pub(super) units: Vec<Unit>,
     meshes: Vec<Unwrapped>,
     warnings: Vec<Warning>,
+    unseen: Vec<usize>,
     deadline: Option<Instant>,
 }
 
@@ -94,7 +95,7 @@ impl<'s> Unwrapping<'s> {
         cancelled: &(dyn Fn() -> bool + Sync),
     ) -> Result<Unwrapping<'s>, BakeError> {
         check_options(options)?;
-        let baked = baked_instances(scene, options)?;
+        let Selected { baked, unseen } = select(scene, options)?;
         // Half of the time belongs to the light.
         let deadline =
             options.time_limit.and_then(|s| Instant::now().checked_add(Duration::try_from_secs_f64(0.5 * s).ok()?));
@@ -125,7 +126,7 @@ impl<'s> Unwrapping<'s> {
                 scene.name
             )));
         }
-        Ok(Unwrapping { scene, shared, units, meshes, warnings, deadline })
+        Ok(Unwrapping { scene, shared, units, meshes, warnings, unseen, deadline })
     }
 
     /// Gives every chart its place, as `options` ask (`density`, `max_texture`, `max_pages`, `gutter`).
@@ -144,6 +145,7 @@ impl<'s> Unwrapping<'s> {
             texels_per_metre: layout.density,
             gutter: options.gutter,
             warnings,
+            unseen: self.unseen.clone(),
             ..Atlas::default()
         };
         for (((s, unit), placed), unwrapped) in shared.iter().zip(units).zip(&layout.units).zip(meshes) {
@@ -261,7 +263,7 @@ fn joined(scene: &Scene, mesh: &Mesh, metres: DMat3) -> JoinedMesh {
     for primitive in &mesh.primitives {
         let first = joined.positions.len() as u32;
         let material = &scene.materials[primitive.material];
-        let group = if material.unlit { IGNORED } else { u32::from(material.double_sided) };
+        let group = if material.unlit { IGNORED } else { u32::from(material.is_two_sided()) };
         joined.positions.extend(primitive.positions.iter().map(|p| metres * p.as_dvec3()));
         joined.triangles.extend(primitive.triangles.iter().map(|t| t.map(|v| v + first)));
         joined.groups.resize(joined.triangles.len(), group);

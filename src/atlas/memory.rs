@@ -16,6 +16,9 @@ const BYTES_PER_TRIANGLE: u64 = 250;
 /// 750), and as many again for texels at the borders of charts, which count here by the part that is covered.
 const BYTES_PER_TEXEL: f64 = 900.0;
 
+/// ... and those of light over mirrors and through glass, where something is specular: bins, a smoothing of their own.
+const SPECULAR_BYTES_PER_TEXEL: f64 = 250.0;
+
 /// Memory that a bake of `world` on `atlas` takes (bytes); all there is and more where its texels have no numbers left.
 pub fn memory_bytes(world: &World, atlas: &Atlas) -> u64 {
     let cells: u64 = atlas.pages.iter().map(|p| u64::from(p.width) * u64::from(p.height)).sum();
@@ -24,7 +27,8 @@ pub fn memory_bytes(world: &World, atlas: &Atlas) -> u64 {
         return u64::MAX;
     }
     let texels = covered(world.scene, atlas).min(2.0 * cells as f64) + transport as f64;
-    (cells + transport) * BYTES_PER_CELL + (texels * BYTES_PER_TEXEL) as u64 + world.len() as u64 * BYTES_PER_TRIANGLE
+    let per_texel = BYTES_PER_TEXEL + if world.is_specular() { SPECULAR_BYTES_PER_TEXEL } else { 0.0 };
+    (cells + transport) * BYTES_PER_CELL + (texels * per_texel) as u64 + world.len() as u64 * BYTES_PER_TRIANGLE
 }
 
 /// Covered area of the pages in texels; twice that of double-sided surfaces, each side of which has its own.
@@ -33,7 +37,7 @@ fn covered(scene: &Scene, atlas: &Atlas) -> f64 {
     placed
         .flat_map(|(instance, i)| (0u32..).zip(&scene.meshes[i.mesh].primitives).map(move |p| (instance, p)))
         .map(|(instance, (primitive, p))| {
-            let sides = if scene.materials[p.material].double_sided { 2.0 } else { 1.0 };
+            let sides = if scene.materials[p.material].is_two_sided() { 2.0 } else { 1.0 };
             let area = |index: u32| {
                 let at = atlas.texel_coordinates(scene, TriangleRef { instance, primitive, index });
                 at.map_or(0.0, |(_, [a, b, c], _)| 0.5 * f64::from((b - a).perp_dot(c - a).abs()))

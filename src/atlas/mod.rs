@@ -97,6 +97,8 @@ pub struct Atlas {
     pub gutter: u32,
     /// What was found and repaired.
     pub warnings: Vec<Warning>,
+    /// Scene instances left out because they show no diffuse light: metal, glass, black.
+    pub unseen: Vec<usize>,
 }
 
 impl Atlas {

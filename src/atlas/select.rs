@@ -1,15 +1,25 @@
 //! Which instances get a lightmap.
 
 use crate::error::BakeError;
-use crate::options::BakeOptions;
-use crate::scene::Scene;
+use crate::options::{BakeOptions, UvSource};
+use crate::scene::{Instance, Material, Scene};
 
-/// For each instance whether it is baked: its node allows it, `--only` names it or is empty, `--exclude` does
-/// not name it, and it has a triangle whose material receives light.
+/// The instances that get a lightmap.
+#[derive(Debug, Clone)]
+pub(super) struct Selected {
+    /// For each instance whether it is baked.
+    pub baked: Vec<bool>,
+    /// Those that could be, but show no diffuse light.
+    pub unseen: Vec<usize>,
+}
+
+/// An instance is baked if its node allows it, `--only` names it or is empty, `--exclude` does not name it, and it has
+/// a triangle whose material receives light. With UVs of our own and without `--only`, it must show diffuse light as well:
+/// on metal, glass and black surfaces nobody would see a map.
 ///
 /// # Errors
 /// [`BakeError::Options`] for a name that no node has, [`BakeError::Nothing`] where nothing is left.
-pub(super) fn baked_instances(scene: &Scene, options: &BakeOptions) -> Result<Vec<bool>, BakeError> {
+pub(super) fn select(scene: &Scene, options: &BakeOptions) -> Result<Selected, BakeError> {
     for (flag, names) in [("--only", &options.only), ("--exclude", &options.exclude)] {
         for name in names {
             if !scene.instances.iter().any(|i| i.name == *name) {
@@ -17,16 +27,19 @@ pub(super) fn baked_instances(scene: &Scene, options: &BakeOptions) -> Result<Ve
             }
         }
     }
-    let baked: Vec<bool> = scene
-        .instances
-        .iter()
-        .map(|i| {
-            let chosen = options.only.is_empty() || options.only.contains(&i.name);
-            let mesh = &scene.meshes[i.mesh];
-            let receives = |p: &crate::scene::Primitive| !p.triangles.is_empty() && !scene.materials[p.material].unlit;
-            i.bake && chosen && !options.exclude.contains(&i.name) && mesh.primitives.iter().any(receives)
-        })
-        .collect();
+    let receives = |i: &Instance| {
+        let chosen = options.only.is_empty() || options.only.contains(&i.name);
+        i.bake && chosen && !options.exclude.contains(&i.name) && has_material(scene, i, &|m| !m.unlit)
+    };
+    let mut baked: Vec<bool> = scene.instances.iter().map(receives).collect();
+    let shows = |i: &Instance| has_material(scene, i, &Material::shows_diffuse_light);
+    let mut unseen: Vec<usize> = (0..baked.len()).filter(|&i| baked[i] && !shows(&scene.instances[i])).collect();
+    // Where nothing else is left, that is what was asked for.
+    let all = unseen.len() == baked.iter().filter(|b| **b).count();
+    if options.uv == UvSource::Keep || !options.only.is_empty() || all {
+        unseen.clear();
+    }
+    unseen.iter().for_each(|&i| baked[i] = false);
     if scene.instances.is_empty() {
         return Err(BakeError::Nothing(format!(
             "{}: has no nodes with triangle meshes, which are all that lightmaps are baked for",
@@ -41,7 +54,13 @@ pub(super) fn baked_instances(scene: &Scene, options: &BakeOptions) -> Result<Ve
             scene.instances.len()
         )));
     }
-    Ok(baked)
+    Ok(Selected { baked, unseen })
+}
+
+/// Whether an instance has a triangle of a material that is `wanted`.
+fn has_material(scene: &Scene, instance: &Instance, wanted: &dyn Fn(&Material) -> bool) -> bool {
+    let mesh = &scene.meshes[instance.mesh];
+    mesh.primitives.iter().any(|p| !p.triangles.is_empty() && wanted(&scene.materials[p.material]))
 }
 
 fn unknown_name(scene: &Scene, flag: &str, name: &str) -> String {

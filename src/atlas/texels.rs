@@ -326,7 +326,7 @@ fn place_triangles(world: &World, atlas: &Atlas, page_base: &[u32], cells: &mut 
                     home: NO_TEXEL,
                 };
             }
-            if !reflects(flags) {
+            if !reflects(world, id) {
                 return none;
             }
             let (corners, width, height) = transport.place(world, id);

@@ -20,8 +20,10 @@ pub(super) struct TransportGrid {
 }
 
 /// Whether light goes on from a triangle, so that it needs a grid where it has no place on the map.
-pub(super) fn reflects(flags: SurfaceFlags) -> bool {
-    !flags.has(SurfaceFlags::DEGENERATE) && !flags.has(SurfaceFlags::UNLIT)
+pub(super) fn reflects(world: &World, id: usize) -> bool {
+    let flags = world.flags[id];
+    let seen = !flags.has(SurfaceFlags::DEGENERATE) && !flags.has(SurfaceFlags::UNLIT);
+    seen && (flags.has(SurfaceFlags::SPECULAR) || world.material(id as u32).shows_diffuse_light())
 }
 
 impl TransportGrid {
@@ -29,7 +31,7 @@ impl TransportGrid {
     pub(super) fn new(world: &World, atlas: &Atlas) -> TransportGrid {
         let ids: Vec<usize> = (0..world.len())
             .into_par_iter()
-            .filter(|&id| reflects(world.flags[id]) && atlas.texel_coordinates(world.scene, world.refs[id]).is_none())
+            .filter(|&id| reflects(world, id) && atlas.texel_coordinates(world.scene, world.refs[id]).is_none())
             .collect();
         // Transport texels are twice as long as the map's: they only steer where light starts.
         let density = (atlas.texels_per_metre * world.frame.metres * 0.5).max(1.0);

@@ -37,7 +37,7 @@ pub struct Gather<'a> {
     pub direct: &'a Direct,
     /// Where direct light leaves from, of each half.
     pub starts: &'a [StartTable; 2],
-    /// Indirect irradiance (lux) of the open part of each texel of the map, of each half.
+    /// Irradiance (lux) by photons, on the open part of each texel of the map, of each half.
     pub indirect: [&'a [Vec3]; 2],
     /// How far that is smoothed around each texel [frame units].
     pub blur: [&'a [f32]; 2],
@@ -109,11 +109,13 @@ impl Gather<'_> {
             *rays += 1;
             let Some(hit) = visibility.accel.closest(&ray) else { return sum };
             let uv = Vec2::new(hit.u, hit.v);
-            let Met { back, facing, receives, passes, reflected: albedo, passed } =
-                world.meet(hit.triangle, uv, ray.direction);
+            let found = world.meet(hit.triangle, uv, ray.direction);
+            let Met { back, facing, receives, passes, reflected: albedo, passed, .. } = found;
             if !receives && !passes {
                 return sum;
             }
+            let bounce = world.bounce((hit.triangle, uv), &found, ray.direction, hit.t, || stream.unit());
+            let thrown = bounce.map_or(Vec3::ZERO, |b| b.importance());
             let before = || world.hair_before(hit.triangle, uv, ray.direction);
             let texel = if receives { texels.at(hit.triangle, back, before()) } else { None };
             let met = Receiver::met(world, hit.triangle, uv, facing, ray.direction, hit.t);
@@ -143,18 +145,26 @@ impl Gather<'_> {
                 }
             }
             // What has no place on the map has no light to look up: go on to where it gets its own.
-            let (r, p) = (reflected.max_element(), passed.max_element());
-            let pick = stream.unit() * (r + p).max(1.0);
+            let [r, s, p] = [reflected, thrown, passed].map(|share| share.max_element());
+            let all = (r + s + p).max(1.0);
+            let pick = stream.unit() * all;
+            let beyond = || offset_origin(world.position(hit.triangle, uv), -facing, world.extent(hit.triangle));
             if pick < r {
                 near_steps = (near_steps + 1).min(MOST_NEAR_STEPS);
-                carried *= reflected / r * (r + p).max(1.0);
+                carried *= reflected / r * all;
                 let direction = cosine_hemisphere(facing, Vec2::new(stream.unit(), stream.unit()));
                 ray = Ray { origin: met.origin, direction, t_max: f32::INFINITY };
                 straight = None;
-            } else if pick < r + p {
-                carried *= passed / p * (r + p).max(1.0);
+            } else if let Some(b) = bounce.filter(|_| pick < r + s) {
+                // Light straight from a lamp over a mirror is not in here: photons bring it.
+                carried *= thrown / s * all;
+                let origin = if b.through { beyond() } else { met.origin };
+                ray = Ray { origin, direction: b.direction, t_max: f32::INFINITY };
+                straight = None;
+            } else if pick < r + s + p {
+                carried *= passed / p * all;
                 straight = straight.map(|gone| gone + hit.t);
-                ray.origin = offset_origin(world.position(hit.triangle, uv), -facing, world.extent(hit.triangle));
+                ray.origin = beyond();
             } else {
                 return sum;
             }
@@ -169,6 +179,10 @@ impl Gather<'_> {
         let texel = starts.pick(f64::from(u), None);
         let slot = stream.bits() as usize % START_SLOTS;
         let Some(start) = self.direct.start(half, texel, slot) else { return Vec3::ZERO };
+        // Mirrors send nothing to where one looks from by chance.
+        if start.way().is_some() {
+            return Vec3::ZERO;
+        }
         let from = self.light.start(texel, start);
         let to = from.origin - at.origin;
         let d2 = to.length_squared();
@@ -187,8 +201,7 @@ impl Gather<'_> {
         }
         let by_cosine = near * far / (PI * d2);
         let by_light = self.light_density(half, texel);
-        let color = Vec3::from(start.color.map(|c| f32::from(c) / 65535.0));
-        passed * color * (starts.total() as f32 * by_cosine * by_light / (by_cosine + by_light))
+        passed * start.color() * (starts.total() as f32 * by_cosine * by_light / (by_cosine + by_light))
     }
 
     /// Density per area with which [`towards_light`](Self::towards_light) picks points of a texel.
@@ -197,15 +210,15 @@ impl Gather<'_> {
         if total > 0.0 { self.direct.exitance(half, texel) / total } else { 0.0 }
     }
 
-    /// Radiosity (lux) of direct light reflected by a texel.
+    /// Radiosity (lux) of direct light that a texel reflects diffusely.
     fn sent_directly(&self, half: usize, texel: usize) -> Vec3 {
         let exitance = self.direct.exitance(half, texel);
         if exitance <= 0.0 {
             return Vec3::ZERO;
         }
-        let colors = (0..START_SLOTS).filter_map(|s| self.direct.start(half, texel, s));
-        let (sum, n) = colors.fold((Vec3::ZERO, 0.0), |(sum, n), s| {
-            (sum + Vec3::from(s.color.map(|c| f32::from(c) / 65535.0)), n + 1.0)
+        let starts = (0..START_SLOTS).filter_map(|s| self.direct.start(half, texel, s));
+        let (sum, n) = starts.fold((Vec3::ZERO, 0.0), |(sum, n), s| {
+            (sum + if s.way().is_none() { s.color() } else { Vec3::ZERO }, n + 1.0)
         });
         if n > 0.0 { sum * (exitance / n) } else { Vec3::ZERO }
     }

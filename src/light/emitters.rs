@@ -103,11 +103,51 @@ pub struct DirectSample {
     pub soft: Vec3,
     /// On the geometric normal, of all lights: what is reflected.
     pub transported: Vec3,
+    /// One of the directions that it came from, for what is reflected in a direction.
+    pub ray: LightRay,
+}
+
+/// One of several directions that light came from, drawn in proportion to the largest channel of what each brought.
+#[derive(Debug, Clone, Copy, Default)]
+pub struct LightRay {
+    /// Unit direction towards the light.
+    pub towards: Vec3,
+    /// What it brought [lux].
+    light: Vec3,
+    /// Sum of the largest channels of all.
+    sum: f32,
+    /// Random number in [0, 1) to draw by.
+    pick: f32,
+}
+
+impl LightRay {
+    /// Irradiance [lux] that stands for that of all directions: the same in expectation.
+    pub fn irradiance(&self) -> Vec3 {
+        let largest = self.light.max_element();
+        if largest > 0.0 { self.light * (self.sum / largest) } else { Vec3::ZERO }
+    }
+
+    fn add(&mut self, light: Vec3, towards: Vec3) {
+        let largest = light.max_element();
+        if largest <= 0.0 {
+            return;
+        }
+        self.sum += largest;
+        // One random number does for all: what is left of it is uniform again.
+        let cut = largest / self.sum;
+        if self.pick < cut {
+            (self.light, self.towards, self.pick) = (light, towards, self.pick / cut);
+        } else {
+            self.pick = (self.pick - cut) / (1.0 - cut);
+        }
+    }
 }
 
 impl DirectSample {
-    fn add(&mut self, light: Vec3, cosines: (f32, f32), stored: bool) {
-        self.transported += light * cosines.0;
+    fn add(&mut self, light: Vec3, towards: Vec3, cosines: (f32, f32), stored: bool) {
+        let arriving = light * cosines.0;
+        self.transported += arriving;
+        self.ray.add(arriving, towards);
         if stored {
             self.stored += light * cosines.1;
         }
@@ -182,16 +222,18 @@ impl Emitters {
     }
 
     /// One unbiased sample of the direct irradiance at `at`. `u(d)` gives coordinate `d` of a point of the
-    /// unit cube, d < `SAMPLE_DIMENSIONS`, `more` further random numbers. Rays traced are added to `rays`.
+    /// unit cube, d < `SAMPLE_DIMENSIONS`, `more` further random numbers. `pick` is one that draws a direction, where that
+    /// matters. Rays traced are added to `rays`.
     pub fn sample(
         &self,
         at: &Receiver,
         visibility: &Visibility,
         u: impl Fn(usize) -> f32,
         more: &mut Stream,
+        pick: f32,
         rays: &mut u64,
     ) -> DirectSample {
-        let mut out = DirectSample::default();
+        let mut out = DirectSample { ray: LightRay { pick, ..LightRay::default() }, ..DirectSample::default() };
         for light in &self.looped {
             self.add_punctual(light, 1.0, at, visibility, || Vec2::new(u(7), u(8)), &mut out, rays);
         }
@@ -305,7 +347,7 @@ impl Emitters {
         *rays += 1;
         let passed = visibility.transmittance(&Ray { origin: at.origin, direction, t_max });
         if passed != Vec3::ZERO {
-            out.add(light.intensity * passed * (falloff * weight), cosines, light.stored);
+            out.add(light.intensity * passed * (falloff * weight), unit, cosines, light.stored);
         }
     }
 }
@@ -339,7 +381,7 @@ fn add_sky(
     *rays += 1;
     let passed = visibility.transmittance(&Ray { origin: at.origin, direction: w, t_max: f32::INFINITY });
     let light = radiance * passed * weight;
-    out.add(light, cosines, true);
+    out.add(light, w, cosines, true);
     if sky.is_soft(radiance) {
         out.soft += light * cosines.1;
     }
@@ -376,7 +418,7 @@ fn add_triangle(
     if passed != Vec3::ZERO {
         let cosines = at.cosines(w.as_vec3());
         let light = radiance * passed * (weight * (polygon.projected() / polygon.cosine(w)) as f32);
-        out.add(light, cosines, true);
+        out.add(light, w.as_vec3(), cosines, true);
         out.soft += light * cosines.1;
     }
 }

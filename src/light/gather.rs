@@ -4,6 +4,7 @@ use super::emitters::{Emitters, SAMPLE_DIMENSIONS};
 use super::open::{cover_above, cover_in_part};
 use super::receiver::Receiver;
 use super::visibility::Visibility;
+use crate::accel;
 use crate::atlas::{TexelSampler, Texels};
 use crate::bisect::bisected;
 use crate::sampling::{DIMENSIONS, Stream, hash_mix, hash_seed, sobol, unit_f32};
@@ -29,18 +30,59 @@ pub struct StartSlot {
     pub color: [u16; 3],
     /// Largest channel of B as it was sampled (lux).
     pub largest: f32,
+    /// The direction that it leaves in, as from a mirror or through a lens.
+    way: PackedWay,
 }
 
-const NO_SLOT: StartSlot = StartSlot { triangle: u32::MAX, uv: Vec2::ZERO, color: [0; 3], largest: 0.0 };
+const NO_SLOT: StartSlot =
+    StartSlot { triangle: u32::MAX, uv: Vec2::ZERO, color: [0; 3], largest: 0.0, way: PackedWay::ANY };
 
 impl StartSlot {
     /// A point where light is reflected; `None` where none is.
     pub fn new(point: &LitPoint) -> Option<StartSlot> {
-        let largest = point.sent.max_element();
-        let color = (point.sent / largest * 65535.0).round();
+        let largest = point.leaving.max_element();
+        let color = (point.leaving / largest * 65535.0).round();
         let color = [color.x as u16, color.y as u16, color.z as u16];
-        (largest > 0.0).then_some(StartSlot { triangle: point.at.triangle, uv: point.at.uv, color, largest })
+        let way = point.way.map_or(PackedWay::ANY, PackedWay::new);
+        (largest > 0.0).then_some(StartSlot { triangle: point.at.triangle, uv: point.at.uv, color, largest, way })
     }
+
+    /// B over its largest channel.
+    pub fn color(&self) -> Vec3 {
+        Vec3::from(self.color.map(|c| f32::from(c) / 65535.0))
+    }
+
+    /// The direction that its light leaves in; `None` where that is reflected diffusely.
+    pub fn way(&self) -> Option<Vec3> {
+        self.way.direction()
+    }
+}
+
+/// A direction on an octahedron's net (Cigolle et al., JCGT 2014), within 5e-5 rad of the one packed.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+struct PackedWay([i16; 2]);
+
+impl PackedWay {
+    /// No direction in particular.
+    const ANY: PackedWay = PackedWay([i16::MIN; 2]);
+
+    fn new(d: Vec3) -> PackedWay {
+        let p = Vec2::new(d.x, d.y) / (d.x.abs() + d.y.abs() + d.z.abs());
+        let p = if d.z < 0.0 { folded(p) } else { p };
+        PackedWay((p * 32767.0).round().to_array().map(|x| x as i16))
+    }
+
+    fn direction(self) -> Option<Vec3> {
+        let p = Vec2::from(self.0.map(f32::from)) / 32767.0;
+        let z = 1.0 - p.x.abs() - p.y.abs();
+        let p = if z < 0.0 { folded(p) } else { p };
+        (self != PackedWay::ANY).then(|| p.extend(z).normalize())
+    }
+}
+
+/// The lower half of an octahedron, turned out around its upper half.
+fn folded(p: Vec2) -> Vec2 {
+    (Vec2::ONE - Vec2::new(p.y, p.x).abs()) * Vec2::ONE.copysign(p)
 }
 
 /// What direct samples are taken of, and with.
@@ -68,8 +110,12 @@ pub struct LitPoint {
     pub stored: Vec3,
     /// Of it what is soft: without hard shadows.
     pub soft: Vec3,
-    /// One of the radiosity rho E that it is reflected with (lux).
+    /// One of the radiosity rho E that it is reflected with diffusely (lux).
     pub sent: Vec3,
+    /// One of the ways that light leaves, which stands for all of them (lux).
+    leaving: Vec3,
+    /// Its direction, as from a mirror or through a lens; `None` where it leaves diffusely.
+    way: Option<Vec3>,
 }
 
 impl TexelLight<'_> {
@@ -90,6 +136,16 @@ impl TexelLight<'_> {
         Receiver::new(self.visibility.world, start.triangle, start.uv, back, self.smooth)
     }
 
+    /// Where a photon starts that leaves along `way`: on the far side, where that is through the surface.
+    pub fn leave(&self, at: &Receiver, way: Vec3) -> Vec3 {
+        if way.dot(at.geometric_normal) > 0.0 {
+            return at.origin;
+        }
+        let world = self.visibility.world;
+        let position = world.position(at.triangle, at.uv);
+        accel::offset_origin(position, -at.geometric_normal, world.extent(at.triangle))
+    }
+
     /// One sample of the light at `at`, all of it from `stream`.
     pub fn any_light(&self, at: Receiver, stream: &mut Stream, rays: &mut u64) -> LitPoint {
         let u: [f32; SAMPLE_DIMENSIONS] = std::array::from_fn(|_| stream.unit());
@@ -99,18 +155,38 @@ impl TexelLight<'_> {
     /// One sample of the light at `at`, from `SAMPLE_DIMENSIONS` random numbers `u(d)` and what `more` gives.
     pub fn light(&self, at: Receiver, u: impl Fn(usize) -> f32, more: &mut Stream, rays: &mut u64) -> LitPoint {
         let world = self.visibility.world;
-        let light = self.emitters.sample(&at, self.visibility, u, more, rays);
+        let flags = world.flags[at.triangle as usize];
+        let specular = flags.has(SurfaceFlags::SPECULAR) && !flags.has(SurfaceFlags::UNSEEN);
+        let pick = if specular { more.unit() } else { 0.0 };
+        let light = self.emitters.sample(&at, self.visibility, u, more, pick, rays);
+        let (stored, soft) = (light.stored, light.soft);
+        let dark = LitPoint { at, stored, soft, sent: Vec3::ZERO, leaving: Vec3::ZERO, way: None };
         if !light.stored.is_finite() || !light.transported.is_finite() {
-            return LitPoint { at, stored: Vec3::ZERO, soft: Vec3::ZERO, sent: Vec3::ZERO };
+            return LitPoint { stored: Vec3::ZERO, soft: Vec3::ZERO, ..dark };
         }
-        let unseen = world.flags[at.triangle as usize].has(SurfaceFlags::UNSEEN);
-        let sent = if light.transported == Vec3::ZERO || unseen {
-            Vec3::ZERO
+        if light.transported == Vec3::ZERO || flags.has(SurfaceFlags::UNSEEN) {
+            return dark;
+        }
+        if !specular {
+            let sent = world.surface(at.triangle, at.uv).reflected() * light.transported;
+            return LitPoint { sent, leaving: sent, ..dark };
+        }
+        let arriving = -light.ray.towards;
+        let met = world.meet(at.triangle, at.uv, arriving);
+        let sent = met.reflected * light.transported;
+        // One of both lobes is taken, in proportion to what it sends out.
+        let bounce = world.bounce((at.triangle, at.uv), &met, arriving, 0.0, || more.unit());
+        let thrown = bounce.map_or(Vec3::ZERO, |b| b.share * light.ray.irradiance());
+        let [by_diffuse, by_specular] = [sent, thrown].map(|lobe| lobe.max_element());
+        let all = by_diffuse + by_specular;
+        let (leaving, way) = if more.unit() * all < by_diffuse {
+            (sent * (all / by_diffuse), None)
+        } else if by_specular > 0.0 {
+            (thrown * (all / by_specular), bounce.map(|b| b.direction))
         } else {
-            let surface = world.surface(at.triangle, at.uv);
-            surface.reflected() * light.transported
+            (Vec3::ZERO, None)
         };
-        LitPoint { at, stored: light.stored, soft: light.soft, sent }
+        LitPoint { sent, leaving, way, ..dark }
     }
 }
 
@@ -124,7 +200,7 @@ struct HalfTexel {
     soft: Vec3,
     /// Sum of the squares of that, mean over the channels.
     soft_squares: f32,
-    /// Largest channel of rho E.
+    /// Largest channel of what leaves.
     exitance: f32,
     steering: Steering,
     slots: [StartSlot; START_SLOTS],
@@ -246,7 +322,7 @@ impl Direct {
         (shown, shown.max(square / (n * (n + 2.0))))
     }
 
-    /// Mean over the texel's samples of the largest channel of rho E (lux), one half.
+    /// Mean over the texel's samples of the largest channel of what leaves, diffusely or not (lux), one half.
     pub fn exitance(&self, half: usize, texel: usize) -> f32 {
         let t = &self.halves[half][texel];
         t.exitance / t.samples.max(1) as f32

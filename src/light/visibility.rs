@@ -37,13 +37,13 @@ impl<'a> Visibility<'a> {
         if !self.some_pass {
             return if self.accel.occluded(ray) { Vec3::ZERO } else { Vec3::ONE };
         }
-        let mut passed = Vec3::ONE;
+        let (mut passed, length) = (Vec3::ONE, ray.direction.length());
         let blocked = self.accel.visit_hits(ray, |hit| {
             if !self.world.flags[hit.triangle as usize].has(SurfaceFlags::PASSES_LIGHT) {
                 return ControlFlow::Break(());
             }
             let s = self.world.surface(hit.triangle, Vec2::new(hit.u, hit.v));
-            passed *= s.passed();
+            passed *= s.passed(self.world.normals[hit.triangle as usize].dot(ray.direction) / length);
             if passed.max_element() <= 0.0 { ControlFlow::Break(()) } else { ControlFlow::Continue(()) }
         });
         if blocked { Vec3::ZERO } else { passed }

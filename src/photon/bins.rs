@@ -21,6 +21,8 @@ pub struct Deposit {
     pub direction: Vec3,
     /// How far it came since it was reflected [frame units].
     pub distance: f32,
+    /// Nothing reflected it diffusely yet: it came from a lamp over mirrors and through glass alone.
+    pub caustic: bool,
 }
 
 /// What one photon, or many, left behind.
@@ -45,6 +47,8 @@ pub struct Bins<'t> {
     world: &'t World<'t>,
     open: &'t [f32],
     halves: [Vec<[AtomicI64; 3]>; 2],
+    /// The same for light that came over mirrors and through glass alone; empty where nothing is specular.
+    caustics: [Vec<[AtomicI64; 3]>; 2],
     backs: Vec<AtomicI64>,
 }
 
@@ -56,8 +60,9 @@ impl<'t> Bins<'t> {
     /// the texel and a surface that lies upon it is not counted.
     pub fn new(world: &'t World<'t>, texels: &'t Texels, open: &'t [f32]) -> Bins<'t> {
         let empty = || (0..texels.mapped).map(|_| Default::default()).collect();
+        let caustics = if world.is_specular() { [empty(), empty()] } else { Default::default() };
         let backs = world.scene.instances.iter().map(|_| AtomicI64::new(0)).collect();
-        Bins { texels, world, open, halves: [empty(), empty()], backs }
+        Bins { texels, world, open, halves: [empty(), empty()], caustics, backs }
     }
 
     /// Flux over the three channels that each instance's backs took up.
@@ -72,10 +77,19 @@ impl<'t> Bins<'t> {
         cover_in_part(self.open[texel], area).is_some_and(|cover| height < cover) && d.distance < area.sqrt()
     }
 
-    /// Flux of a texel, one half.
+    /// Flux of light that was reflected diffusely at least once, of a texel, one half.
     pub fn flux(&self, half: usize, texel: usize) -> [i64; 3] {
-        std::array::from_fn(|c| self.halves[half][texel][c].load(Relaxed))
+        sum_of(&self.halves[half][texel])
     }
+
+    /// Flux of light that came over mirrors and through glass alone; `None` where nothing is specular.
+    pub fn caustic_flux(&self, half: usize, texel: usize) -> Option<[i64; 3]> {
+        self.caustics[half].get(texel).map(sum_of)
+    }
+}
+
+fn sum_of(bin: &[AtomicI64; 3]) -> [i64; 3] {
+    std::array::from_fn(|c| bin[c].load(Relaxed))
 }
 
 impl DepositSink for Bins<'_> {
@@ -89,7 +103,8 @@ impl DepositSink for Bins<'_> {
                 && (texel as usize) < self.texels.mapped
                 && !self.cover_sends(texel as usize, d)
             {
-                let bin = &self.halves[half][texel as usize];
+                let bins = if d.caustic { &self.caustics } else { &self.halves };
+                let bin = &bins[half][texel as usize];
                 bin.iter().zip(d.flux).for_each(|(sum, flux)| {
                     sum.fetch_add(i64::from(flux), Relaxed);
                 });

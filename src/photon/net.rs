@@ -105,7 +105,9 @@ impl Shooting<'_> {
         }
         let slot = stream.bits() as usize % START_SLOTS;
         task.photons += 1;
-        if task.photons.is_multiple_of(MOVE_EVERY) {
+        // What leaves in one direction always goes the same way: there each is moved.
+        let alike = task.slots[slot].is_some_and(|s| s.way().is_some());
+        if alike || task.photons.is_multiple_of(MOVE_EVERY) {
             self.move_start(texel, slot, &mut stream, task);
         }
         let Some(start) = task.slots[slot] else { return };
@@ -117,9 +119,14 @@ impl Shooting<'_> {
             if dimension < DIMENSIONS { sobol(index, dimension, scramble) } else { stream.bits() }
         };
         let at = self.light.start(texel, &start);
-        let direction = cosine_hemisphere(at.geometric_normal, Vec2::new(unit_f32(random()), unit_f32(random())));
+        let u = Vec2::new(unit_f32(random()), unit_f32(random()));
+        let (origin, direction) = match start.way() {
+            None => (at.origin, cosine_hemisphere(at.geometric_normal, u)),
+            Some(way) => (self.light.leave(&at, way), way),
+        };
         let flux = start.color.map(|c| ((u64::from(c) * u64::from(net.weight) + 32767) / 65535) as u32);
-        let photon = Photon { ray: Ray { origin: at.origin, direction, t_max: f32::INFINITY }, flux };
+        let caustic = start.way().is_some();
+        let photon = Photon { ray: Ray { origin, direction, t_max: f32::INFINITY }, flux, caustic };
         walk(photon, self.light.visibility, self.crevice, random, &mut task.trail, &mut task.ledger);
     }
 

@@ -4,7 +4,8 @@ use super::bins::{Deposit, Trail};
 use super::ledger::EnergyLedger;
 use crate::accel::{self, Ray};
 use crate::light::Visibility;
-use crate::sampling::cosine_hemisphere;
+use crate::sampling::{cosine_hemisphere, unit_f32};
+use crate::scene::Bounce;
 use glam::{Vec2, Vec3};
 
 /// A photon ends after this many surfaces, whatever the reflectance; what it carried is counted as cut.
@@ -24,6 +25,8 @@ pub struct Photon {
     pub ray: Ray,
     /// Flux per channel; the largest is the same for all photons of a net.
     pub flux: [u32; 3],
+    /// Nothing reflected it diffusely yet: it came from a lamp over mirrors and through glass alone.
+    pub caustic: bool,
 }
 
 /// Walks `photon` to its end. Gaps below `crevice` [frame units] keep it for a few steps only. `random` gives the
@@ -62,6 +65,7 @@ pub fn walk(
                 flux: photon.flux,
                 direction: photon.ray.direction,
                 distance: gone + hit.t,
+                caustic: photon.caustic,
             });
             add(&mut ledger.deposited, photon.flux);
             ledger.deposits += 1;
@@ -70,24 +74,29 @@ pub fn walk(
             trail.backs.push((hit.triangle, photon.flux.iter().map(|&f| u64::from(f)).sum()));
             return;
         }
-        let (reflected, passed) = (scale(photon.flux, met.reflected), scale(photon.flux, met.passed));
-        // Roulette by the largest channel: the photon goes on with one of the two, as heavy as before.
-        let (largest, m_reflected, m_passed) = (max(photon.flux), max(reflected), max(passed));
+        let bounce = world.bounce((hit.triangle, uv), &met, photon.ray.direction, hit.t, || unit_f32(random()));
+        let reflected = scale(photon.flux, met.reflected);
+        let thrown = scale(photon.flux, bounce.map_or(Vec3::ZERO, |b| b.share));
+        let passed = scale(photon.flux, met.passed);
+        // Roulette by the largest channel: the photon goes on in one of the ways, as heavy as before.
+        let largest = max(photon.flux);
         let r = u64::from(random()) * u64::from(largest);
-        let (next, share) = if r < u64::from(m_reflected) << 32 {
-            (Some(true), reflected)
-        } else if r < (u64::from(m_reflected) + u64::from(m_passed)) << 32 {
-            (Some(false), passed)
+        let upto = [reflected, thrown, passed].map(|share| u64::from(max(share)) << 32);
+        let (next, share) = if r < upto[0] {
+            (Some(Way::Diffuse), reflected)
+        } else if r < upto[0] + upto[1] {
+            (bounce.map(Way::Specular), thrown)
+        } else if r < upto[0] + upto[1] + upto[2] {
+            (Some(Way::Straight), passed)
         } else {
             (None, [0; 3])
         };
-        // What the surface keeps of both shares; a back side's keep is counted apart.
+        // What the surface keeps of all shares; a back side's keep is counted apart.
         let kept = if met.receives { &mut ledger.absorbed } else { &mut ledger.back_absorbed };
-        for c in 0..3 {
-            kept[c] += i128::from(photon.flux[c]) - i128::from(reflected[c]) - i128::from(passed[c]);
-        }
-        let expected: [i128; 3] = std::array::from_fn(|c| i128::from(reflected[c]) + i128::from(passed[c]));
-        let Some(reflects) = next else {
+        let expected: [i128; 3] =
+            std::array::from_fn(|c| i128::from(reflected[c]) + i128::from(thrown[c]) + i128::from(passed[c]));
+        (0..3).for_each(|c| kept[c] += i128::from(photon.flux[c]) - expected[c]);
+        let Some(way) = next else {
             (0..3).for_each(|c| ledger.roulette[c] -= expected[c]);
             return;
         };
@@ -95,23 +104,29 @@ pub fn walk(
         let flux = share.map(|f| ((u64::from(f) * u64::from(largest) + heaviest / 2) / heaviest) as u32);
         (0..3).for_each(|c| ledger.roulette[c] += i128::from(flux[c]) - expected[c]);
 
-        gone = if reflects { 0.0 } else { gone + hit.t };
-        let (side, direction) = if reflects {
-            let u = Vec2::new(crate::sampling::unit_f32(random()), crate::sampling::unit_f32(random()));
-            (met.facing, cosine_hemisphere(met.facing, u))
-        } else {
-            (-met.facing, photon.ray.direction)
+        gone = if let Way::Straight = way { gone + hit.t } else { 0.0 };
+        let (extent, position) = (world.extent(hit.triangle), world.position(hit.triangle, uv));
+        let before = || accel::reflected_origin(position, met.facing, extent, photon.ray.direction, hit.t);
+        let beyond = || accel::offset_origin(position, -met.facing, extent);
+        let (origin, direction) = match way {
+            Way::Diffuse => {
+                let u = Vec2::new(unit_f32(random()), unit_f32(random()));
+                (before(), cosine_hemisphere(met.facing, u))
+            }
+            Way::Specular(b) => (if b.through { beyond() } else { before() }, b.direction),
+            Way::Straight => (beyond(), photon.ray.direction),
         };
-        let extent = world.extent(hit.triangle);
-        let position = world.position(hit.triangle, uv);
-        let origin = if reflects {
-            accel::reflected_origin(position, side, extent, photon.ray.direction, hit.t)
-        } else {
-            accel::offset_origin(position, side, extent)
-        };
-        photon = Photon { ray: Ray { origin, direction, t_max: f32::INFINITY }, flux };
+        let caustic = photon.caustic && !matches!(way, Way::Diffuse);
+        photon = Photon { ray: Ray { origin, direction, t_max: f32::INFINITY }, flux, caustic };
     }
     add(&mut ledger.cut, photon.flux);
+}
+
+/// How a photon goes on.
+enum Way {
+    Diffuse,
+    Specular(Bounce),
+    Straight,
 }
 
 fn add(sum: &mut [i128; 3], flux: [u32; 3]) {

@@ -11,9 +11,11 @@ pub struct Material {
     pub base_color: Vec4,
     /// sRGB texture multiplied with the base colour.
     pub base_color_texture: Option<TextureRef>,
-    /// Metalness in [0, 1]; a metal reflects no diffuse light.
+    /// Metalness in [0, 1]; a metal reflects no diffuse light, but by its base colour in the direction of a mirror.
     pub metallic: f32,
-    /// Linear texture whose blue channel multiplies the metalness.
+    /// Roughness in [0, 1] of what metal and glass reflect.
+    pub roughness: f32,
+    /// Linear texture whose blue channel multiplies the metalness, and whose green one the roughness.
     pub metallic_texture: Option<TextureRef>,
     /// Emitted radiance (nit): emissive factor times emissive strength.
     pub emission: Vec3,
@@ -21,11 +23,16 @@ pub struct Material {
     pub emission_texture: Option<TextureRef>,
     /// Coverage by alpha.
     pub alpha: Alpha,
-    /// Share of the light not reflected at the surface that passes straight through, tinted by the base
-    /// colour, in [0, 1] (KHR_materials_transmission).
+    /// Share that is glass, in [0, 1], tinted by the base colour (KHR_materials_transmission).
     pub transmission: f32,
     /// Linear texture whose red channel multiplies the transmission.
     pub transmission_texture: Option<TextureRef>,
+    /// Index of refraction of the glass, at least 1 (KHR_materials_ior).
+    pub ior: f32,
+    /// The glass is a solid, which refracts (KHR_materials_volume): else thin, and light passes straight.
+    pub solid: bool,
+    /// Absorption in the solid (1/m).
+    pub absorption: Vec3,
     /// Both sides reflect and emit; otherwise the back absorbs.
     pub double_sided: bool,
     /// KHR_materials_unlit: blocks light, but neither emits nor reflects.
@@ -41,12 +48,16 @@ impl Default for Material {
             base_color: Vec4::ONE,
             base_color_texture: None,
             metallic: 0.0,
+            roughness: 1.0,
             metallic_texture: None,
             emission: Vec3::ZERO,
             emission_texture: None,
             alpha: Alpha::Opaque,
             transmission: 0.0,
             transmission_texture: None,
+            ior: 1.5,
+            solid: false,
+            absorption: Vec3::ZERO,
             double_sided: false,
             unlit: false,
         }
@@ -79,8 +90,25 @@ pub struct TextureRef {
 }
 
 impl Material {
-    /// True where a ray may pass some of its points: such surfaces need a look at the material on every hit.
+    /// True where a straight ray may pass some of its points: such surfaces need a look at the material on every hit.
     pub fn passes_light(&self) -> bool {
-        !self.unlit && self.transmission > 0.0 || self.alpha != Alpha::Opaque
+        !self.unlit && self.transmission > 0.0 && !self.solid || self.alpha != Alpha::Opaque
+    }
+
+    /// True where some light leaves as from a mirror or through a lens.
+    pub fn is_specular(&self) -> bool {
+        !self.unlit && (self.metallic > 0.0 || self.transmission > 0.0 && (self.solid || self.ior > 1.0))
+    }
+
+    /// True where some point may reflect light diffusely: else nobody would see a lightmap on it.
+    pub fn shows_diffuse_light(&self) -> bool {
+        let all = |factor: f32, texture: &Option<TextureRef>| factor >= 1.0 && texture.is_none();
+        let specular = all(self.metallic, &self.metallic_texture) || all(self.transmission, &self.transmission_texture);
+        !self.unlit && !specular && self.base_color.truncate().max_element() > 0.0
+    }
+
+    /// True where light arrives from both sides: glass has no back.
+    pub fn is_two_sided(&self) -> bool {
+        self.double_sided || self.transmission > 0.0 && self.is_specular()
     }
 }

@@ -13,6 +13,7 @@ mod light;
 mod material;
 mod mesh;
 mod sky;
+mod specular;
 mod texture;
 mod world;
 
@@ -21,6 +22,7 @@ pub use material::{Alpha, Material, TextureRef};
 pub use mesh::{Instance, Mesh, Primitive};
 pub use sky::Sky;
 pub(crate) use sky::sky_pixel;
+pub use specular::{Arrival, Bounce, Specular, pane_reflectance, reflectance};
 pub use texture::{ColorSpace, Texture, Wrap};
 pub use world::{Frame, Met, SurfaceFlags, SurfacePoint, TriangleRef, World};
 

@@ -1,5 +1,6 @@
 //! The scene flattened to world-space triangles, in the frame that everything later computes in.
 
+use super::specular::{Arrival, Bounce, Specular, pane_reflectance};
 use super::{Alpha, ColorSpace, Material, Primitive, Scene, TextureRef};
 use glam::{DVec3, Vec2, Vec3, Vec4};
 
@@ -41,7 +42,7 @@ pub struct TriangleRef {
 pub struct SurfaceFlags(u8);
 
 impl SurfaceFlags {
-    /// Both sides reflect and emit.
+    /// Both sides receive light, reflect and emit.
     pub const DOUBLE_SIDED: SurfaceFlags = SurfaceFlags(1);
     /// Light may pass some points (MASK, BLEND, transmission).
     pub const PASSES_LIGHT: SurfaceFlags = SurfaceFlags(2);
@@ -55,6 +56,8 @@ impl SurfaceFlags {
     pub const UNSEEN: SurfaceFlags = SurfaceFlags(64);
     /// Reflectance or emission varies over the triangle.
     pub const VARIES: SurfaceFlags = SurfaceFlags(32);
+    /// Some light leaves as from a mirror or through a lens.
+    pub const SPECULAR: SurfaceFlags = SurfaceFlags(128);
 
     /// True if all bits of `other` are set.
     pub fn has(self, other: SurfaceFlags) -> bool {
@@ -75,8 +78,11 @@ pub struct SurfacePoint {
     pub emission: Vec3,
     /// Share of the light that meets the surface at all, in [0, 1]; 0 or 1 for MASK, 1 for OPAQUE.
     pub alpha: f32,
-    /// Share per channel of the light meeting the surface that passes straight through, in [0, 1].
+    /// Share per channel of the light meeting the surface that passes straight through, in [0, 1], but for what the
+    /// surface reflects by Fresnel's law.
     pub transmittance: Vec3,
+    /// What leaves as from a mirror or through a lens.
+    pub specular: Option<Specular>,
 }
 
 impl SurfacePoint {
@@ -85,9 +91,20 @@ impl SurfacePoint {
         self.albedo * self.alpha
     }
 
-    /// Share of light per channel that passes, beside the surface and through it.
-    pub fn passed(&self) -> Vec3 {
-        Vec3::splat(1.0 - self.alpha) + self.transmittance * self.alpha
+    /// Share of light per channel that passes straight, beside the surface and through it, for light with a cosine to
+    /// its normal, of either sign.
+    pub fn passed(&self, cosine: f32) -> Vec3 {
+        let beside = Vec3::splat(1.0 - self.alpha);
+        if self.transmittance == Vec3::ZERO {
+            return beside;
+        }
+        let reflected = self.specular.map_or(0.0, |s| pane_reflectance(cosine.abs().min(1.0), s.ior));
+        beside + self.transmittance * (self.alpha * (1.0 - reflected))
+    }
+
+    /// Share per channel that a look through solid glass finds, taken to be straight.
+    pub fn seen_through(&self) -> Vec3 {
+        self.specular.filter(|s| s.solid).map_or(Vec3::ZERO, |s| s.tint * s.glass)
     }
 }
 
@@ -106,6 +123,8 @@ pub struct Met {
     pub reflected: Vec3,
     /// Share per channel that passes.
     pub passed: Vec3,
+    /// What leaves as from a mirror or through a lens.
+    pub specular: Option<Specular>,
 }
 
 /// World triangles of all instances. Triangle ids count through the instances in order, each with all its
@@ -202,6 +221,11 @@ impl<'s> World<'s> {
         self.positions.is_empty()
     }
 
+    /// True where some surface reflects as a mirror or refracts.
+    pub fn is_specular(&self) -> bool {
+        self.flags.iter().any(|f| f.has(SurfaceFlags::SPECULAR))
+    }
+
     /// Area of a triangle [frame units squared].
     pub fn area(&self, triangle: u32) -> f64 {
         let d = self.positions[triangle as usize].map(|v| v.as_dvec3());
@@ -281,13 +305,40 @@ impl<'s> World<'s> {
         let receives = !back || flags.has(SurfaceFlags::DOUBLE_SIDED);
         let passes = flags.has(SurfaceFlags::PASSES_LIGHT);
         let facing = if back { -normal } else { normal };
-        let mut met = Met { back, facing, receives, passes, reflected: Vec3::ZERO, passed: Vec3::ZERO };
+        let (reflected, passed) = (Vec3::ZERO, Vec3::ZERO);
+        let mut met = Met { back, facing, receives, passes, reflected, passed, specular: None };
         if receives || passes {
             let surface = self.surface(triangle, uv);
-            met.reflected = if receives { surface.reflected() } else { Vec3::ZERO };
-            met.passed = if passes { surface.passed() } else { Vec3::ZERO };
+            if receives {
+                (met.reflected, met.specular) = (surface.reflected(), surface.specular);
+            }
+            if passes {
+                met.passed = surface.passed(normal.dot(direction));
+            }
         }
         met
+    }
+
+    /// One way that light with the unit direction `arriving`, after a free way of length `way` [frame units], leaves a point
+    /// of the specular surface that it `met`, drawn by random numbers in [0, 1).
+    pub fn bounce(
+        &self,
+        (triangle, uv): (u32, Vec2),
+        met: &Met,
+        arriving: Vec3,
+        way: f32,
+        mut random: impl FnMut() -> f32,
+    ) -> Option<Bounce> {
+        let specular = met.specular?;
+        let side = if met.back { -1.0 } else { 1.0 };
+        let arrival = Arrival {
+            direction: arriving,
+            facing: met.facing,
+            shading: self.shading_normal(triangle, uv) * side,
+            back: met.back,
+            way: way * self.frame.metres as f32,
+        };
+        specular.bounce(&arrival, [random(), random(), random()])
     }
 
     /// What the material says at a point of a triangle.
@@ -316,10 +367,11 @@ impl<'s> World<'s> {
             },
         };
         let base = material.base_color * color * look(&material.base_color_texture, ColorSpace::Srgb);
-        let metallic = material.metallic * look(&material.metallic_texture, ColorSpace::Linear).z;
+        let metal = look(&material.metallic_texture, ColorSpace::Linear);
         let transmission = material.transmission * look(&material.transmission_texture, ColorSpace::Linear).x;
         let emission = material.emission * look(&material.emission_texture, ColorSpace::Srgb).truncate();
-        resolve(material, base, metallic, transmission, emission)
+        let (roughness, metallic) = (material.roughness * metal.y, material.metallic * metal.z);
+        resolve(material, base, [metallic, roughness], transmission, emission)
     }
 }
 
@@ -330,31 +382,57 @@ fn material_flags(material: &Material, primitive: &Primitive) -> SurfaceFlags {
         || material.transmission_texture.is_some();
     let emits = !material.unlit && material.emission.max_element() > 0.0;
     SurfaceFlags::default()
-        .with(SurfaceFlags::DOUBLE_SIDED, material.double_sided)
+        .with(SurfaceFlags::DOUBLE_SIDED, material.is_two_sided())
         .with(SurfaceFlags::PASSES_LIGHT, material.passes_light())
         .with(SurfaceFlags::EMITS, emits)
         .with(SurfaceFlags::UNLIT, material.unlit)
+        .with(SurfaceFlags::SPECULAR, material.is_specular())
         .with(SurfaceFlags::VARIES, textured || !primitive.colors.is_empty())
 }
 
 fn constant_point(m: &Material) -> SurfacePoint {
-    resolve(m, m.base_color, m.metallic, m.transmission, m.emission)
+    resolve(m, m.base_color, [m.metallic, m.roughness], m.transmission, m.emission)
 }
 
-/// The split of the light that meets a surface: a metal sends everything to the specular lobe (not
-/// transported here, absorbed), of the rest a share `transmission` passes, and what remains is diffuse.
-fn resolve(m: &Material, base: Vec4, metallic: f32, transmission: f32, emission: Vec3) -> SurfacePoint {
+/// The split of the light that meets a surface: a metal has a specular lobe alone, of the rest a share `transmission` is
+/// glass, and what remains is diffuse. The coat of a dielectric is counted as diffuse.
+fn resolve(
+    m: &Material,
+    base: Vec4,
+    [metallic, roughness]: [f32; 2],
+    transmission: f32,
+    emission: Vec3,
+) -> SurfacePoint {
     let alpha = match m.alpha {
         Alpha::Opaque => 1.0,
         Alpha::Mask { cutoff } => f32::from(u8::from(base.w >= cutoff)),
         Alpha::Blend => base.w.clamp(0.0, 1.0),
     };
+    let (albedo, transmittance) = (Vec3::ZERO, Vec3::ZERO);
     if m.unlit {
-        return SurfacePoint { albedo: Vec3::ZERO, emission: Vec3::ZERO, alpha, transmittance: Vec3::ZERO };
+        return SurfacePoint { albedo, emission: Vec3::ZERO, alpha, transmittance, specular: None };
     }
-    let color = base.truncate().clamp(Vec3::ZERO, Vec3::ONE) * (1.0 - metallic.clamp(0.0, 1.0));
-    let t = transmission.clamp(0.0, 1.0);
-    SurfacePoint { albedo: color * (1.0 - t), emission: emission.max(Vec3::ZERO), alpha, transmittance: color * t }
+    let (metal, t) = (metallic.clamp(0.0, 1.0), transmission.clamp(0.0, 1.0));
+    let base = base.truncate().clamp(Vec3::ZERO, Vec3::ONE);
+    let color = base * (1.0 - metal);
+    let glass = (1.0 - metal) * t;
+    let specular = Specular {
+        metal: metal * alpha,
+        metal_color: base,
+        glass: glass * alpha,
+        tint: base,
+        ior: m.ior,
+        solid: m.solid,
+        absorption: m.absorption,
+        alpha: roughness.clamp(0.0, 1.0).powi(2),
+    };
+    SurfacePoint {
+        albedo: color * (1.0 - t),
+        emission: emission.max(Vec3::ZERO),
+        alpha,
+        transmittance: if m.solid { Vec3::ZERO } else { color * t },
+        specular: m.is_specular().then_some(specular),
+    }
 }
 
 fn frame_of(scene: &Scene) -> Frame {

@@ -31,6 +31,7 @@ impl Solver<'_, '_> {
             seed: self.options.seed,
             light: self.path.light(self.options.normals == Normals::Smooth),
             total: &solution.total,
+            caustic: solution.caustic.as_ref(),
             weights: &solution.weights,
             whole: self.options.texel_value == TexelValue::Mean,
             crevice: self.path.surface.crevice,

@@ -54,9 +54,12 @@ impl Solver<'_, '_> {
         let instances = visibility.world.scene.instances.len();
         let caught = self.caught();
         let mut found = self.reconstruct(&caught);
-        self.gather(&mut found)?;
+        let caustic = self.caustic_light();
+        self.gather(&mut found, caustic.as_ref())?;
         let gathered = self.smooth_gathered(&mut found);
+        let caustic_halves = caustic.as_ref().map(|c| self.texel_halves(&c.found));
         let indirect = self.texel_halves(&found);
+        let indirect = caustic_halves.as_ref().map_or_else(|| indirect.clone(), |c| indirect.plus(c));
         let DirectLight { apart, soft } = self.direct_light(&indirect);
         let direct = soft.as_ref().map_or_else(|| apart.clone(), |soft| apart.plus(&soft.halves));
         let total = direct.plus(&indirect);
@@ -64,10 +67,11 @@ impl Solver<'_, '_> {
 
         let weight = |k: usize| {
             let i = tree.elements[k].texel as usize;
-            let smooth = soft.is_some() || !self.has_gathered(weights.instance[i] as usize);
+            let smooth = soft.is_some() || caustic.is_some() || !self.has_gathered(weights.instance[i] as usize);
             (if smooth { self.open_weight(&weights, i) } else { 0.0 }, weights.instance[i])
         };
-        let smoothed = self.smoothed(&caught, &found, soft.as_ref().map(|s| &s.light));
+        let others: Vec<&Smooth> = soft.iter().map(|s| &s.light).chain(&caustic).collect();
+        let smoothed = self.smoothed(&caught, &found, &others);
         let (mut whole_bias, mut biases) = (Bias::default(), vec![Bias::default(); instances]);
         if self.options.smoothing != Smoothing::None {
             let (compared, blocks) = (smoothed.compared(tree), &smoothed.blocks);
@@ -101,20 +105,23 @@ impl Solver<'_, '_> {
         let (meshes, area_within_target) =
             mesh_errors(visibility.world, &total, &weights, &all_biases, error.mean, target);
         let mesh_percent = percentile_95(&meshes);
-        let mut split = self.squares(&apart, soft.as_ref().map(|s| &s.halves), &indirect, &weights, &biases);
+        let parts = [soft.as_ref().map(|s| &s.halves), caustic_halves.as_ref()];
+        let mut split = self.squares(&apart, parts, &indirect, &weights, &biases);
         split.iter_mut().zip(&gathered.biases).for_each(|(s, bias)| s.indirect += bias.likely());
         let squares = split.iter().fold(Squares::default(), |s, p| s + *p);
-        let by_photons = (0..instances).filter(|&i| !self.has_gathered(i)).map(|i| split[i].indirect).sum();
+        let by_photons = |i: usize| split[i].caustic + if self.has_gathered(i) { 0.0 } else { split[i].indirect };
+        let by_photons = (0..instances).map(by_photons).sum();
         let rays_noise = self.gather_noise(&weights);
         let missed = meshes.iter().filter(|m| m.error_percent > mesh_target).map(|m| {
-            let Squares { apart, soft, indirect } = split[m.instance];
-            let square = (m.error_percent / mesh_target).powi(2) / (apart + soft + indirect).max(1e-300);
+            let Squares { apart, soft, indirect, caustic } = split[m.instance];
+            let square = (m.error_percent / mesh_target).powi(2) / (apart + soft + indirect + caustic).max(1e-300);
             let of_rays = rays_noise[m.instance] * gathered.left[m.instance].unwrap_or(1.0)
                 + gathered.biases[m.instance].likely();
             Missed {
                 instance: m.instance,
                 direct: (apart + soft) * square,
                 indirect: indirect * square,
+                caustic: caustic * square,
                 texels: m.texels,
                 gathered: self.gathered[m.instance],
                 of_rays: of_rays.min(indirect) * square,
@@ -125,6 +132,7 @@ impl Solver<'_, '_> {
         Ok(Solution {
             total,
             indirect,
+            caustic: caustic_halves,
             weights,
             error,
             meshes,
@@ -203,11 +211,11 @@ impl Solver<'_, '_> {
         if odd + even > 0.0 { ((odd - even) / (odd + even)).powi(2) } else { 0.0 }
     }
 
-    /// Squared errors of each instance, times its weight.
+    /// Squared errors of each instance, times its weight, of `indirect` light with its caustics.
     fn squares(
         &self,
         apart: &Halves,
-        soft: Option<&Halves>,
+        [soft, caustic]: [Option<&Halves>; 2],
         indirect: &Halves,
         weights: &TexelWeights,
         biases: &[Bias],
@@ -219,7 +227,9 @@ impl Solver<'_, '_> {
             let square = |v: Vec3| weights.weight[i] * f64::from(v.length_squared()) / 3.0;
             sum.apart += square(apart.difference(i));
             sum.soft += soft.map_or(0.0, |s| square(s.difference(i)));
-            sum.indirect += square(indirect.difference(i));
+            let thrown = caustic.map_or(Vec3::ZERO, |c| c.difference(i));
+            sum.caustic += square(thrown);
+            sum.indirect += square(indirect.difference(i) - thrown);
             *starts += start_noise * square(indirect.mean(i));
         }
         let split = |(instance, ((sum, starts), bias)): (usize, ((Squares, f64), &Bias))| {
@@ -228,11 +238,13 @@ impl Solver<'_, '_> {
             // Bias is smoothed noise: of what is noisier there is more. What is gathered is not smoothed among photons:
             // called its own, the bias of direct light had photons asked for that could not lower it.
             let smooth = if self.has_gathered(instance) { 0.0 } else { photons };
-            let of_direct = sum.soft / (sum.soft + smooth).max(1e-300) * bias.likely();
+            let per_noise = bias.likely() / (sum.soft + sum.caustic + smooth).max(1e-300);
+            let [of_direct, of_caustic] = [sum.soft * per_noise, sum.caustic * per_noise];
             Squares {
                 apart: sum.apart + starts,
                 soft: sum.soft + of_direct,
-                indirect: photons + bias.likely() - of_direct,
+                indirect: photons + bias.likely() - of_direct - of_caustic,
+                caustic: sum.caustic + of_caustic,
             }
         };
         sums.into_iter().zip(biases).enumerate().map(split).collect()

@@ -54,34 +54,52 @@ impl Solver<'_, '_> {
         })
     }
 
-    /// All light that is smoothed, with that of the photons where nothing is gathered.
-    pub(super) fn smoothed(&self, caught: &[Caught; 2], found: &Reconstruction, soft: Option<&Smooth>) -> Smoothed {
+    /// All light that is smoothed: that of the photons where nothing is gathered, and of `others` everywhere.
+    pub(super) fn smoothed(&self, caught: &[Caught; 2], found: &Reconstruction, others: &[&Smooth]) -> Smoothed {
         let elements = &self.path.surface.tree.elements;
         let by_photons = |k: usize| {
             let instance = self.weights.instance[elements[k].texel as usize];
             if self.has_gathered(instance as usize) { 0.0 } else { 1.0 }
         };
-        let both = |k: usize, photons: Vec3, soft: Option<Vec3>| photons * by_photons(k) + soft.unwrap_or_default();
         let values = [0, 1].map(|h| {
-            let of = |k| both(k, found.values[h][k], soft.map(|s| s.found.values[h][k]));
+            let of = |k| others.iter().fold(found.values[h][k] * by_photons(k), |sum, o| sum + o.found.values[h][k]);
             (0..elements.len()).into_par_iter().map(of).collect()
         });
         let caught = [0, 1].map(|h| {
-            let of = |k: usize| both(k, caught[h].flux[k].into(), soft.map(|s| s.caught[h].flux[k].into())).to_array();
+            let of = |k: usize| {
+                let photons = Vec3::from(caught[h].flux[k]) * by_photons(k);
+                others.iter().fold(photons, |sum, o| sum + Vec3::from(o.caught[h].flux[k])).to_array()
+            };
             (0..elements.len()).into_par_iter().map(of).collect()
         });
-        let blocks = soft.map_or_else(|| found.blocks.clone(), |s| refined(&found.blocks, &s.found.blocks));
+        let blocks = others.iter().fold(found.blocks.clone(), |blocks, o| refined(&blocks, &o.found.blocks));
         Smoothed { values, caught, blocks }
     }
 
-    /// Flux that each element caught, in two halves.
+    /// Flux that each element caught of diffusely reflected light, in two halves.
     pub(super) fn caught(&self) -> [Caught; 2] {
+        self.caught_flux(|h, texel| self.bins.flux(h, texel))
+    }
+
+    /// Light that came from lamps over mirrors and through glass alone, smoothed over cells of its own, for it has sharp
+    /// edges where all else is smooth; `None` where there is none.
+    pub(super) fn caustic_light(&self) -> Option<Smooth> {
+        self.bins.caustic_flux(0, 0)?;
+        let caught = self.caught_flux(|h, texel| self.bins.caustic_flux(h, texel).unwrap_or_default());
+        let any = caught.iter().any(|half| half.flux.iter().any(|f| *f != [0.0; 3]));
+        any.then(|| {
+            let found = self.reconstruct(&caught);
+            Smooth { caught, found }
+        })
+    }
+
+    fn caught_flux(&self, flux: impl Fn(usize, usize) -> [i64; 3] + Sync) -> [Caught; 2] {
         let elements = &self.path.surface.tree.elements;
         let per_photon = self.flux.map_or(0.0, |f| f.unit / self.photons.max(1) as f64);
         let [odd, even] = self.start_totals();
         let photon = odd.max(even) / self.photons.max(1) as f64;
         [0, 1].map(|h| {
-            let of = |texel: u32| self.bins.flux(h, texel as usize).map(|f| (f as f64 * per_photon) as f32);
+            let of = |texel: u32| flux(h, texel as usize).map(|f| (f as f64 * per_photon) as f32);
             let flux: Vec<[f32; 3]> = elements.par_iter().map(|e| of(e.texel)).collect();
             let variance: Vec<f64> = flux.iter().map(|f| f64::from(f.iter().sum::<f32>()) / 3.0 * photon).collect();
             Caught { flux, variance, samples: None }
@@ -113,7 +131,7 @@ impl Solver<'_, '_> {
     }
 }
 
-/// Light that is smoothed over cells of its own: soft direct light, or what meshes gathered.
+/// Light that is smoothed over cells of its own: soft direct light, caustics, or what meshes gathered.
 pub(super) struct Smooth {
     pub(super) caught: [Caught; 2],
     pub(super) found: Reconstruction,

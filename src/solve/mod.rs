@@ -95,15 +95,22 @@ struct Squares {
     apart: f64,
     /// Of direct light that is smoothed over cells: direct samples, but more slowly.
     soft: f64,
-    /// Of indirect light: photons.
+    /// Of indirect light: photons, or gathering.
     indirect: f64,
+    /// Of light from lamps over mirrors and through glass: photons.
+    caustic: f64,
 }
 
 impl std::ops::Add for Squares {
     type Output = Squares;
 
     fn add(self, o: Squares) -> Squares {
-        Squares { apart: self.apart + o.apart, soft: self.soft + o.soft, indirect: self.indirect + o.indirect }
+        Squares {
+            apart: self.apart + o.apart,
+            soft: self.soft + o.soft,
+            indirect: self.indirect + o.indirect,
+            caustic: self.caustic + o.caustic,
+        }
     }
 }
 
@@ -114,6 +121,8 @@ pub struct Solution {
     pub total: Halves,
     /// Of it reflected light.
     pub indirect: Halves,
+    /// Of that what came straight from lamps over mirrors and through glass; `None` where nothing did.
+    pub caustic: Option<Halves>,
     /// Weights of the texels that are stored.
     pub weights: TexelWeights,
     /// Error of the whole.
@@ -130,7 +139,7 @@ pub struct Solution {
     pub energy_change: f64,
     /// Squared errors by what lowers them.
     squares: Squares,
-    /// Squared error of the indirect light of the meshes that do not gather it.
+    /// Squared error of the indirect light that is not gathered.
     by_photons: f64,
     /// Meshes above their target.
     missed: Vec<Missed>,
@@ -474,7 +483,7 @@ impl Solver<'_, '_> {
         let spent = Spent {
             direct: s.squares.apart,
             soft: s.squares.soft,
-            indirect: s.squares.indirect + unseen,
+            indirect: s.squares.indirect + s.squares.caustic + unseen,
             falls: [self.falls.soft.exponent(), self.falls.indirect.exponent()],
             direct_cost: SAMPLE_COST * samples,
             photon_cost: self.ledger.rays.max(1) as f64,

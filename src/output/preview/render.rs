@@ -1,7 +1,7 @@
 //! The scene as an engine shows it: albedo times baked light plus emission, along straight rays.
 
 use super::{RgbImage, tone};
-use crate::accel::{Hit, Ray};
+use crate::accel::{self, Hit, Ray};
 use crate::atlas::Atlas;
 use crate::lightmap::Lightmap;
 use crate::scene::{Camera, Projection, Sky, SurfaceFlags, World};
@@ -36,8 +36,8 @@ const MAX_LAYERS: usize = 64;
 /// Renders the scene from its maps. `closest` traces a ray through the triangles of `world`, in its frame.
 ///
 /// Exposure is set by the logarithmic mean of what is not sky. Backs of one-sided surfaces are not there, as
-/// engines cull them; metals are black, because only diffuse light is baked; surfaces without a map get the
-/// mean irradiance. The result does not depend on the number of threads.
+/// engines cull them; metals are mirrors, however rough, and glass is clear and straight; surfaces without a map get
+/// the mean irradiance. The result does not depend on the number of threads.
 pub fn render(
     world: &World,
     closest: &(impl Fn(&Ray) -> Option<Hit> + Sync),
@@ -104,9 +104,18 @@ impl<F: Fn(&Ray) -> Option<Hit>> View<'_, F> {
             if !back || flags.has(SurfaceFlags::DOUBLE_SIDED) {
                 let surface = self.world.surface(hit.triangle, uv);
                 let e = self.irradiance(hit.triangle, uv, back);
+                let (normal, way) = (self.world.normals[hit.triangle as usize], ray.direction.normalize());
                 surface_seen |= surface.alpha > 0.0;
                 light += throughput * surface.alpha * (surface.albedo * e * FRAC_1_PI + surface.emission);
-                throughput *= surface.passed();
+                let metal = surface.specular.map_or(Vec3::ZERO, |s| s.metal_color * s.metal);
+                // One way to go on must do: the brighter.
+                let passed = surface.passed(normal.dot(way)) + surface.seen_through();
+                if metal.max_element() > passed.max_element() {
+                    throughput *= metal;
+                    ray = self.mirrored(&hit, if back { -normal } else { normal }, way);
+                    continue;
+                }
+                throughput *= passed;
             }
             // Less than half a step of an 8-bit image is left.
             if throughput.max_element() < 1.0 / 512.0 {
@@ -115,6 +124,18 @@ impl<F: Fn(&Ray) -> Option<Hit>> View<'_, F> {
             ray.origin = self.behind(&ray, &hit);
         }
         (light, surface_seen)
+    }
+
+    /// The ray that a mirror sends back.
+    fn mirrored(&self, hit: &Hit, facing: Vec3, way: Vec3) -> Ray {
+        let uv = Vec2::new(hit.u, hit.v);
+        let shading = self.world.shading_normal(hit.triangle, uv);
+        let shading = if shading.dot(facing) < 0.0 { -shading } else { shading };
+        let turned = way.reflect(shading);
+        let direction = if turned.dot(facing) > 0.0 { turned } else { way.reflect(facing) };
+        let extent = self.world.extent(hit.triangle);
+        let origin = accel::offset_origin(self.world.position(hit.triangle, uv), facing, extent);
+        Ray { origin, direction, t_max: f32::INFINITY }
     }
 
     /// A point just behind a hit, a few units in the last place away.

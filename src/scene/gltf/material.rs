@@ -59,6 +59,7 @@ fn read_material(
         base_color: unit(reader, Vec4::from(pbr.base_color_factor.0), &label),
         base_color_texture: textures.read(reader, pbr.base_color_texture.as_ref(), &label)?,
         metallic: unit(reader, Vec4::splat(pbr.metallic_factor.0), &label).x,
+        roughness: unit(reader, Vec4::splat(pbr.roughness_factor.0), &label).x,
         metallic_texture: textures.read(reader, pbr.metallic_roughness_texture.as_ref(), &label)?,
         double_sided: raw.double_sided,
         unlit: extensions.unlit.is_some(),
@@ -89,6 +90,22 @@ fn read_material(
     if let Some(t) = &extensions.transmission {
         material.transmission = unit(reader, Vec4::splat(t.transmission_factor.0), &label).x;
         material.transmission_texture = textures.read(reader, t.transmission_texture.as_ref(), &label)?;
+    }
+    if let Some(ior) = &extensions.ior {
+        material.ior = ior.ior.0;
+        if !(1.0..f32::INFINITY).contains(&material.ior) {
+            reader.warn("odd-material", format!("{label} has the index of refraction {}; 1.5 is used", material.ior));
+            material.ior = Material::default().ior;
+        }
+    }
+    if let Some(volume) = extensions.volume.as_ref().filter(|v| v.thickness_factor.0 > 0.0) {
+        material.solid = true;
+        let distance = volume.attenuation_distance.0;
+        if distance > 0.0 && distance.is_finite() {
+            // Beer's law; a colour of 0 would need an absorption without end.
+            let color = Vec3::from(volume.attenuation_color.0).clamp(Vec3::splat(1e-6), Vec3::ONE);
+            material.absorption = color.map(|c| -libm::logf(c) / distance);
+        }
     }
     material.alpha = match raw.alpha_mode {
         Checked::Valid(AlphaMode::Opaque) => Alpha::Opaque,
