@@ -107,10 +107,7 @@ fn view_bytes(document: &Document, index: usize) -> Result<(&[u8], Option<usize>
         let start = integer(view.get("byteOffset")).unwrap_or(0);
         buffer.get(start..start.checked_add(integer(view.get("byteLength"))?)?)
     };
-    let bytes = slice().ok_or_else(|| match super::container::compressed(view) {
-        Some(_) => Unreadable::Compressed,
-        None => Unreadable::Broken(format!("bufferView {index} is outside its buffer")),
-    })?;
+    let bytes = slice().ok_or_else(|| Unreadable::Broken(format!("bufferView {index} is outside its buffer")))?;
     Ok((bytes, integer(view.get("byteStride")).filter(|&s| s > 0)))
 }
 

@@ -5,6 +5,7 @@ use crate::atlas::Atlas;
 use crate::error::Warning;
 use crate::options::Lights;
 use crate::output::NodeRect;
+use crate::scene::gltf::{drop_extension, take_extension};
 use crate::scene::{BakeMode, Scene};
 use serde_json::{Map, Value, json};
 use std::collections::BTreeMap;
@@ -59,36 +60,13 @@ pub(super) fn add_rects(json: &mut Value, scene: &Scene, rects: &[Option<NodeRec
 pub(super) fn remove_lights(json: &mut Value, nodes: &[usize]) -> usize {
     let mut removed = 0;
     for &node in nodes {
-        let Some(node) = items_mut(json, "nodes").nth(node).and_then(Value::as_object_mut) else { continue };
-        let Some(extensions) = node.get_mut("extensions").and_then(Value::as_object_mut) else { continue };
-        removed += usize::from(extensions.shift_remove(LIGHTS).is_some());
-        if extensions.is_empty() {
-            node.shift_remove("extensions");
-        }
+        let Some(node) = items_mut(json, "nodes").nth(node) else { continue };
+        removed += usize::from(take_extension(node, LIGHTS).is_some());
     }
     if removed > 0 && !items(json, "nodes").any(|node| node["extensions"].get(LIGHTS).is_some()) {
         drop_extension(json, LIGHTS);
     }
     removed
-}
-
-/// Removes an extension that nothing uses any more from the root of the document.
-pub(super) fn drop_extension(json: &mut Value, name: &str) {
-    let Some(root) = json.as_object_mut() else { return };
-    if let Some(extensions) = root.get_mut("extensions").and_then(Value::as_object_mut) {
-        extensions.shift_remove(name);
-        if extensions.is_empty() {
-            root.shift_remove("extensions");
-        }
-    }
-    for list in ["extensionsUsed", "extensionsRequired"] {
-        if let Some(names) = root.get_mut(list).and_then(Value::as_array_mut) {
-            names.retain(|n| n != name);
-            if names.is_empty() {
-                root.shift_remove(list);
-            }
-        }
-    }
 }
 
 /// True where the atlas speaks of the scene at hand.

@@ -1,6 +1,7 @@
 //! Which extensions are understood, which do not matter to light, and how to get rid of the others.
 
 use super::reader::{REPAIR, Reader};
+use super::unpack;
 use crate::error::SceneError;
 use serde_json::Value;
 
@@ -35,7 +36,7 @@ const HARMLESS: &[&str] = &[
 /// Refuses a file that requires what is not supported; warns of optional extensions that are ignored.
 pub(super) fn check(reader: &mut Reader) -> Result<(), SceneError> {
     let required = names(reader, "extensionsRequired")?;
-    let known = |name: &str| SUPPORTED.contains(&name) || HARMLESS.contains(&name);
+    let known = |name: &str| [SUPPORTED, unpack::SUPPORTED, HARMLESS].iter().any(|list| list.contains(&name));
     if let Some(name) = required.iter().find(|n| !known(n)) {
         return Err(unsupported(reader, name));
     }
@@ -52,9 +53,6 @@ pub(super) fn unsupported(reader: &Reader, name: &str) -> SceneError {
     let cure = match name {
         "KHR_draco_mesh_compression" => {
             "`gltf-transform copy in.glb out.glb` writes the same scene without the compression"
-        }
-        "EXT_meshopt_compression" | "KHR_meshopt_compression" => {
-            "`gltfpack -i in.glb -o out.glb -noq` writes the same scene without the compression"
         }
         "KHR_texture_basisu" => "`gltf-transform ktxdecompress in.glb out.glb` turns its textures into PNG",
         "EXT_mesh_gpu_instancing" => "export it with one node per instance",

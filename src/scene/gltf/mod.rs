@@ -15,21 +15,25 @@ mod material;
 mod node;
 mod primitive;
 mod reader;
+mod unpack;
+
+pub(crate) use unpack::{drop_extension, take_extension};
 
 use super::{Mesh, Scene};
 use crate::error::SceneError;
 use reader::Reader;
 use std::path::{Path, PathBuf};
 
-/// The document as read, kept so that it can be written back with lightmap UVs and nothing else changed.
+/// The document as read and unpacked, kept so that it can be written back with lightmap UVs and nothing else
+/// changed.
 #[derive(Debug, Clone, Default)]
 pub struct Document {
     /// The file it was read from.
     pub path: PathBuf,
-    /// The whole JSON, unknown properties and their order included.
+    /// The whole JSON, unknown properties and their order included; without extensions that only pack its data.
     pub json: serde_json::Value,
     /// Contents of each buffer, in order, each as long as its `byteLength`; empty for a buffer without data
-    /// (the fallback of a compressed one).
+    /// (what stood for a compressed one). Unpacked data is in the last one.
     pub buffers: Vec<Vec<u8>>,
 }
 
@@ -47,9 +51,12 @@ pub fn load(path: &Path) -> Result<Scene, SceneError> {
 /// # Errors
 /// As [`load`].
 pub fn load_bytes(path: &Path, bytes: &[u8]) -> Result<Scene, SceneError> {
-    let (document, warnings) = container::read(path, bytes)?;
+    let (mut document, warnings) = container::read(path, bytes)?;
     let mut reader = Reader::new(&document, warnings);
     extension::check(&mut reader)?;
+    let warnings = reader.warnings;
+    unpack::unpack(&mut document)?;
+    let mut reader = Reader::new(&document, warnings);
     let mut tree = node::walk(&mut reader)?;
 
     let mut drawn: Vec<usize> = tree.instances.iter().map(|i| i.mesh).collect();

@@ -1,0 +1,170 @@
+//! Scenes whose geometry is packed: they hold what the same scenes hold unpacked, are written back as plain glTF,
+//! and damage to them is an error.
+
+mod common;
+#[path = "common/glb_reader.rs"]
+mod glb_reader;
+
+use common::glb::SceneBuilder;
+use evenlight::options::Density;
+use evenlight::output::glb::{GlbOptions, write};
+use evenlight::{BakeOptions, Scene};
+use glb_reader::{Parsed, parse};
+use serde_json::{Value, json};
+use std::path::Path;
+
+const FLOOR: [[f32; 3]; 4] = [[-1.0, 0.0, 1.0], [1.0, 0.0, 1.0], [1.0, 0.0, -1.0], [-1.0, 0.0, -1.0]];
+
+fn load_bytes(bytes: &[u8]) -> Result<Scene, evenlight::SceneError> {
+    evenlight::scene::gltf::load_bytes(Path::new("packed.glb"), bytes)
+}
+
+fn load(builder: SceneBuilder) -> Scene {
+    load_bytes(&builder.glb()).expect("the scene is good")
+}
+
+fn error(builder: SceneBuilder) -> String {
+    load_bytes(&builder.glb()).expect_err("the scene is not good").to_string()
+}
+
+/// A floor, and two nodes that draw one box.
+fn plain() -> SceneBuilder {
+    SceneBuilder::new()
+        .material("grey", [0.5; 3])
+        .quad("floor", FLOOR)
+        .cuboid("box", [-0.5, 0.0, -0.5], [0.5, 1.0, 0.5])
+        .instance("box again")
+        .with("translation", json!([3, 0, 0]))
+}
+
+/// All instances with the world positions of their corners.
+fn corners(scene: &Scene) -> Vec<(String, Vec<[f32; 3]>)> {
+    let of = |i: &evenlight::scene::Instance| {
+        let primitives = scene.meshes[i.mesh].primitives.iter();
+        let corners = primitives.flat_map(|p| p.triangles.iter().flatten().map(|&v| p.positions[v as usize]));
+        corners.map(|p| i.world_from_object.transform_point3(p.as_dvec3()).as_vec3().to_array()).collect()
+    };
+    scene.instances.iter().map(|i| (i.name.clone(), of(i))).collect()
+}
+
+/// The scene as the bake of a small map would write it, checked by another reader.
+fn written(scene: &Scene) -> (Parsed, Scene) {
+    let options = BakeOptions { max_texture: 256, density: Density::Even, ..BakeOptions::default() };
+    let atlas = evenlight::atlas::build(scene, &options, &|| false).expect("an atlas");
+    let folder = tempfile::tempdir().expect("a temporary folder");
+    let path = folder.path().join("scene.glb");
+    let info = write(&path, &scene.source, scene, &atlas, &GlbOptions::default()).expect("the scene can be written");
+    assert!(info.warnings.is_empty(), "{:?}", info.warnings);
+    let parsed = parse(&std::fs::read(&path).expect("the file is there"));
+    parsed.check();
+    (parsed, Scene::from_gltf(&path).expect("what is written can be read"))
+}
+
+/// Loads damaged copies of a file: errors and odd scenes are fine, panics and hangs are not.
+fn damage(good: &[u8], rounds: usize) {
+    // SplitMix64, fixed seed (Steele, Lea, Flood, Fast splittable pseudorandom number generators, 2014).
+    let mut state = 11u64;
+    let mut random = |n: usize| {
+        state = state.wrapping_add(0x9E37_79B9_7F4A_7C15);
+        let z = (state ^ (state >> 30)).wrapping_mul(0xBF58_476D_1CE4_E5B9);
+        let z = (z ^ (z >> 27)).wrapping_mul(0x94D0_49BB_1331_11EB);
+        ((z ^ (z >> 31)) % n as u64) as usize
+    };
+    let binary = good.windows(4).rposition(|w| w == b"BIN\0").expect("a binary chunk") + 4;
+    for _ in 0..rounds {
+        let mut bytes = good.to_vec();
+        for _ in 0..1 + random(4) {
+            // Most often the stream itself; else digits of the JSON.
+            let at = if random(4) > 0 { binary + random(good.len() - binary) } else { random(binary) };
+            if at >= binary {
+                bytes[at] = if random(2) == 0 { random(256) as u8 } else { bytes[at] ^ 1 << random(8) };
+            } else if let Some(b) = bytes[at..binary].iter_mut().find(|b| b.is_ascii_digit()) {
+                *b = b'0' + random(10) as u8;
+            }
+        }
+        if let Ok(scene) = load_bytes(&bytes) {
+            for primitive in scene.meshes.iter().flat_map(|m| &m.primitives) {
+                let n = primitive.positions.len();
+                assert!(primitive.triangles.iter().flatten().all(|&v| (v as usize) < n));
+                assert!(primitive.positions.iter().all(|p| p.is_finite()));
+            }
+        }
+    }
+}
+
+const MESHOPT: [&str; 2] = ["EXT_meshopt_compression", "KHR_meshopt_compression"];
+
+#[test]
+fn meshopt_streams_hold_the_same_scene() {
+    let expected = load(plain());
+    for name in MESHOPT {
+        let scene = load(plain().meshopt(name));
+        assert!(scene.warnings.is_empty(), "{:?}", scene.warnings);
+        assert_eq!(corners(&scene), corners(&expected));
+        let (a, b) = (&scene.meshes[1].primitives[0], &expected.meshes[1].primitives[0]);
+        assert_eq!((&a.normals, &a.tex_coords), (&b.normals, &b.tex_coords));
+        let (parsed, again) = written(&scene);
+        assert!(!parsed.json.to_string().contains("meshopt"), "{}", parsed.json);
+        assert_eq!(parsed.json["buffers"].as_array().map(Vec::len), Some(1));
+        assert_eq!(corners(&again), corners(&expected));
+    }
+}
+
+#[test]
+fn meshopt_placeholders_need_no_mark_and_may_come_first() {
+    let unmarked = |packed: SceneBuilder| {
+        let text = packed.gltf();
+        let mut json: Value = serde_json::from_str(&text).expect("JSON");
+        json["buffers"][1].as_object_mut().expect("a placeholder").remove("extensions");
+        json
+    };
+    let json = unmarked(plain().meshopt(MESHOPT[0]));
+    let scene = load_bytes(json.to_string().as_bytes()).expect("the scene is good");
+    assert!(scene.warnings.is_empty(), "{:?}", scene.warnings);
+    // The other way round.
+    let mut json = json;
+    let buffers = json["buffers"].as_array_mut().expect("buffers");
+    buffers.swap(0, 1);
+    for view in json["bufferViews"].as_array_mut().expect("views") {
+        view["buffer"] = json!(0);
+        view["extensions"][MESHOPT[0]]["buffer"] = json!(1);
+    }
+    let swapped = load_bytes(json.to_string().as_bytes()).expect("the scene is good");
+    assert_eq!(corners(&swapped), corners(&scene));
+    let (parsed, _) = written(&swapped);
+    assert_eq!(parsed.json["buffers"].as_array().map(Vec::len), Some(1));
+}
+
+#[test]
+fn meshopt_faults_are_named() {
+    type Change = fn(&mut Value);
+    let with = |change: Change| {
+        error(plain().meshopt(MESHOPT[1]).patch(|j| change(&mut j["bufferViews"][0]["extensions"][MESHOPT[1]])))
+    };
+    let cases: [(&str, Change); 9] = [
+        ("mode", |e| e["mode"] = json!("POINTS")),
+        ("filter", |e| e["filter"] = json!("ROT13")),
+        ("fit", |e| e["filter"] = json!("QUATERNION")),
+        ("fit", |e| e["byteStride"] = json!(3)),
+        ("count", |e| e["count"] = json!(-1)),
+        ("byteLength", |e| e["count"] = json!(5)),
+        ("outside", |e| e["byteLength"] = json!(u64::MAX)),
+        ("outside", |e| e["byteOffset"] = json!("x")),
+        ("decoded", |e| e["byteLength"] = json!(40)),
+    ];
+    for (what, change) in cases {
+        let error = with(change);
+        assert!(error.contains("packed.glb: bufferViews[0]") && error.contains(what), "{what}: {error}");
+    }
+    let bomb = error(plain().meshopt(MESHOPT[0]).patch(|j| {
+        let view = &mut j["bufferViews"][0];
+        view["byteLength"] = json!(12u64 << 40);
+        view["extensions"][MESHOPT[0]]["count"] = json!(1u64 << 40);
+    }));
+    assert!(bomb.contains("MiB"), "{bomb}");
+}
+
+#[test]
+fn damaged_meshopt_streams_never_panic() {
+    damage(&plain().meshopt(MESHOPT[0]).glb(), 20_000);
+}
