@@ -6,6 +6,7 @@ mod common;
 mod glb_reader;
 
 use common::glb::SceneBuilder;
+use common::packed::DRACO;
 use evenlight::options::Density;
 use evenlight::output::glb::{GlbOptions, write};
 use evenlight::{BakeOptions, Scene};
@@ -167,4 +168,109 @@ fn meshopt_faults_are_named() {
 #[test]
 fn damaged_meshopt_streams_never_panic() {
     damage(&plain().meshopt(MESHOPT[0]).glb(), 20_000);
+}
+
+/// The grid of [`DRACO`], with positions to half a step of 12 bits.
+fn check_grid(scene: &Scene) {
+    let grid = scene.meshes.iter().find(|m| m.name == "grid").expect("the mesh");
+    let p = &grid.primitives[0];
+    assert_eq!((p.positions.len(), p.triangles.len()), (9, 8));
+    let mut above = 0.0;
+    for t in &p.triangles {
+        let [a, b, c] = t.map(|v| p.positions[v as usize]);
+        above += 0.5 * (b - a).cross(c - a).y;
+    }
+    assert!((above - 4.0).abs() < 0.01, "area seen from above: {above}");
+    let mut seen = Vec::new();
+    for (at, uv) in p.positions.iter().zip(&p.tex_coords[0]) {
+        let [x, z] = [2.0 * uv.x, 2.0 * uv.y];
+        assert!(at.distance(glam::Vec3::new(x, x * z / 4.0, z)) < 1.5 * 2.0 / 4096.0, "{at} at {uv}");
+        seen.push([x as i32, z as i32]);
+    }
+    seen.sort_unstable();
+    seen.dedup();
+    assert_eq!(seen.len(), 9);
+}
+
+#[test]
+fn draco_streams_hold_what_was_encoded() {
+    for stream in DRACO {
+        let scene = load(plain().draco("grid", stream));
+        assert!(scene.warnings.is_empty(), "{:?}", scene.warnings);
+        check_grid(&scene);
+        let (parsed, again) = written(&scene);
+        assert!(!parsed.json.to_string().contains("draco"), "{}", parsed.json);
+        assert_eq!(parsed.json.get("extensionsRequired"), None);
+        assert_eq!(corners(&again), corners(&scene));
+    }
+}
+
+#[test]
+fn draco_streams_may_be_shared_and_lie_in_packed_views() {
+    // Two primitives with the same accessors, one with accessors of its own, and one whose accessors are taken.
+    let shared = plain().draco("grid", DRACO[0]).draco("other", DRACO[1]).patch(|j| {
+        let primitives = [0, 0, 1, 1].map(|i| j["meshes"][2 + i]["primitives"][0].clone());
+        let mut primitives = json!(primitives);
+        primitives[3]["attributes"] = primitives[0]["attributes"].clone();
+        j["meshes"][2]["primitives"] = primitives;
+    });
+    let scene = load(shared);
+    let positions: Vec<_> = scene.meshes[2].primitives.iter().map(|p| &p.positions).collect();
+    assert_eq!(positions[0], positions[1]);
+    assert_eq!(positions[2], positions[3]);
+    assert_ne!(positions[0], positions[2], "the streams have their vertices in different orders");
+    written(&scene);
+
+    let nested = plain().draco("grid", DRACO[0]).meshopt(MESHOPT[0]);
+    check_grid(&load(nested));
+}
+
+#[test]
+fn uncompressed_data_beside_draco_is_used_where_it_may_be() {
+    let fallback = |required: bool| {
+        plain().draco("grid", DRACO[0]).patch(move |j| {
+            let floor = j["meshes"][0]["primitives"][0].clone();
+            j["meshes"][2]["primitives"][0]["attributes"] = json!({"POSITION": floor["attributes"]["POSITION"]});
+            j["meshes"][2]["primitives"][0]["indices"] = floor["indices"].clone();
+            if !required {
+                j.as_object_mut().expect("an object").remove("extensionsRequired");
+            }
+        })
+    };
+    let scene = load(fallback(false));
+    assert_eq!(scene.meshes[2].primitives[0].positions, scene.meshes[0].primitives[0].positions);
+    let scene = load(fallback(true));
+    assert_eq!(scene.meshes[2].primitives[0].positions.len(), 9);
+    assert_eq!(scene.meshes[0].primitives[0].positions.len(), 4, "the floor keeps its accessor");
+}
+
+#[test]
+fn draco_faults_are_named() {
+    type Change = fn(&mut Value);
+    let with = |change: Change| error(plain().draco("grid", DRACO[0]).patch(change));
+    const AT: &str = "/meshes/2/primitives/0/extensions/KHR_draco_mesh_compression";
+    let cases: [(&str, Change); 7] = [
+        ("bufferViews[99]", |j| *j.pointer_mut(AT).unwrap() = json!({"bufferView": 99})),
+        ("bufferView", |j| *j.pointer_mut(AT).unwrap() = json!({})),
+        ("attribute 7", |j| j.pointer_mut(AT).unwrap()["attributes"]["POSITION"] = json!(7)),
+        ("2 components", |j| j.pointer_mut(AT).unwrap()["attributes"]["POSITION"] = json!(0)),
+        ("accessors", |j| j["meshes"][2]["primitives"][0]["indices"] = json!(1u64 << 40)),
+        ("componentType", |j| {
+            j["accessors"].as_array_mut().unwrap().iter_mut().for_each(|a| {
+                a["componentType"] = json!(1);
+            })
+        }),
+        ("decoded", |j| j["bufferViews"].as_array_mut().unwrap().iter_mut().for_each(|v| v["byteLength"] = json!(20))),
+    ];
+    for (what, change) in cases {
+        let error = with(change);
+        assert!(error.contains("packed.glb: meshes[2] primitive 0") && error.contains(what), "{what}: {error}");
+    }
+}
+
+#[test]
+fn damaged_draco_streams_never_panic() {
+    for stream in DRACO {
+        damage(&SceneBuilder::new().draco("grid", stream).glb(), 10_000);
+    }
 }

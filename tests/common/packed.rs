@@ -1,6 +1,7 @@
 //! Scenes with packed geometry, by encoders as plain as the formats allow.
 
 use super::glb::SceneBuilder;
+use base64::Engine;
 use serde_json::{Value, json};
 
 impl SceneBuilder {
@@ -42,9 +43,49 @@ impl SceneBuilder {
         }
         self.bin = bin;
         self.placeholder = Some(json!({"byteLength": unpacked, "extensions": {extension: {"fallback": true}}}));
+        self.requires(extension)
+    }
+}
+
+/// Two streams of Google's Draco library (1.5.7, positions of 12 bits): connectivity by Edgebreaker, and plain. Both
+/// hold the eight triangles of a grid of vertices (x, x z / 4, z) with UV (x / 2, z / 2), x and z from 0 to 2, the
+/// front above.
+pub const DRACO: [&str; 2] = [
+    "RFJBQ08CAgEBAAAACQgBCAEAA+/TGv8BEf8CiEACAAAA/wAAAQMJAgEAAAEACQMAAQIAAAA/AAAAPwAAgD8AAAAAAAAAPwAAAAAA\
+     AAAAAAAAPwAAAAAAAAAAAAAAAAAAgD8AAAA/AACAPwAAgD8AAAA/AACAPwAAgD8BAQEADQMdBx9VFTkOWRUFms/5S4D/D0D/7///\
+     8//9DwAAEMD/AACA/wEAAAABAMD/AAAAgAAAAAAAAP8PAAAAAAAAAAAAAAAAAAAAAABADA==",
+    "RFJBQ08CAgEAAAAICQEAAwEBAwQBBAICBAUDBgQEBgcEBwUFBwgBAgMJAgEAAAkDAAEAAgAAAAAAAAAAAAAAPwAAAAAAAIA/AAAA\
+     AAAAAAAAAAA/AAAAPwAAAD8AAIA/AAAAPwAAAAAAAIA/AAAAPwAAgD8AAIA/AACAPwABAQANAx0HJ+U4AwTghfh/AAAA/wcAABAA\
+     APj//wcgAPB/AAIAAfg///9/AAQA/wdAAAAAAAAA/w8AAAAAAAAAAAAAAAAAAAAAAEAM",
+];
+
+impl SceneBuilder {
+    /// A node with a primitive in a Draco stream, in base64, with attributes as those of [`DRACO`].
+    pub fn draco(mut self, name: &str, stream: &str) -> SceneBuilder {
+        let stream = base64::engine::general_purpose::STANDARD.decode(stream).expect("base64");
+        let view = self.view(&stream);
+        let first = self.json["accessors"].as_array().map_or(0, Vec::len);
+        let accessors = [
+            json!({"componentType": 5126, "type": "VEC3", "count": 9, "min": [0, 0, 0], "max": [2, 1, 2]}),
+            json!({"componentType": 5126, "type": "VEC2", "count": 9}),
+            json!({"componentType": 5123, "type": "SCALAR", "count": 24}),
+        ];
+        let mut all: Vec<Value> = self.json["accessors"].as_array().cloned().unwrap_or_default();
+        all.extend(accessors);
+        self.json["accessors"] = json!(all);
+        self = self.requires("KHR_draco_mesh_compression");
+        let draco = json!({"bufferView": view, "attributes": {"POSITION": 1, "TEXCOORD_0": 0}});
+        let primitive = json!({"attributes": {"POSITION": first, "TEXCOORD_0": first + 1}, "indices": first + 2,
+            "mode": 4, "extensions": {"KHR_draco_mesh_compression": draco}});
+        self.mesh_json(name, json!({"name": name, "primitives": [primitive]}))
+    }
+
+    fn requires(mut self, extension: &str) -> SceneBuilder {
         for list in ["extensionsUsed", "extensionsRequired"] {
             let mut names: Vec<Value> = self.json[list].as_array().cloned().unwrap_or_default();
-            names.push(json!(extension));
+            if !names.contains(&json!(extension)) {
+                names.push(json!(extension));
+            }
             self.json[list] = json!(names);
         }
         self

@@ -138,7 +138,7 @@ fn patch_primitives(
         };
         for (loaded, layout) in mesh.primitives.iter().zip(&layout.primitives) {
             let moved_set = moves.sets.get(&(mesh.source, loaded.source)).copied();
-            let patch = Patch { document, loaded, layout, moved_set, first_new };
+            let patch = Patch { document, layout, moved_set, first_new };
             let name = || format!("mesh {} ({:?}), primitive {}", mesh.source, mesh.name, loaded.source);
             let primitive = items_mut(json, "meshes")
                 .nth(mesh.source)

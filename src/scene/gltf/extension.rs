@@ -49,11 +49,8 @@ pub(super) fn check(reader: &mut Reader) -> Result<(), SceneError> {
 }
 
 /// The error for an extension without which the file cannot be read.
-pub(super) fn unsupported(reader: &Reader, name: &str) -> SceneError {
+fn unsupported(reader: &Reader, name: &str) -> SceneError {
     let cure = match name {
-        "KHR_draco_mesh_compression" => {
-            "`gltf-transform copy in.glb out.glb` writes the same scene without the compression"
-        }
         "KHR_texture_basisu" => "`gltf-transform ktxdecompress in.glb out.glb` turns its textures into PNG",
         "EXT_mesh_gpu_instancing" => "export it with one node per instance",
         _ => "export it without this extension",

@@ -4,6 +4,7 @@
 //! one more buffer, and nothing refers to them any more. The scene is read from it, and it is what is written
 //! back, so that neither needs to know of them.
 
+mod draco;
 pub(super) mod meshopt;
 
 use super::Document;
@@ -16,7 +17,7 @@ use serde_json::{Value, json};
 const MOST_BYTES: u64 = 1 << 30;
 
 /// Extensions that are unpacked.
-pub(super) const SUPPORTED: &[&str] = &["EXT_meshopt_compression", "KHR_meshopt_compression"];
+pub(super) const SUPPORTED: &[&str] = &["EXT_meshopt_compression", draco::NAME, "KHR_meshopt_compression"];
 
 /// Unpacks a document.
 ///
@@ -25,7 +26,9 @@ pub(super) const SUPPORTED: &[&str] = &["EXT_meshopt_compression", "KHR_meshopt_
 pub(super) fn unpack(document: &mut Document) -> Result<(), SceneError> {
     let path = document.path.clone();
     let mut packed = Packed::new(document);
+    // A Draco stream may itself lie in a compressed view.
     meshopt::unpack(&mut packed)
+        .and_then(|()| draco::unpack(&mut packed))
         .map(|()| packed.finish())
         .map_err(|what| SceneError::Invalid { path, what: format!("{what}; {REPAIR}") })
 }
@@ -53,9 +56,8 @@ impl<'a> Packed<'a> {
 
     /// Takes `size` bytes from what this file may be unpacked to.
     fn take_bytes(&mut self, size: u64, label: &str) -> Result<(), String> {
-        self.bytes_left = self.bytes_left.checked_sub(size).ok_or_else(|| {
-            format!("{label}: with it the file unpacks to more than {} MiB; split the scene", MOST_BYTES >> 20)
-        })?;
+        let left = self.bytes_left.checked_sub(size).ok_or_else(|| format!("{label}: {}", too_large()))?;
+        self.bytes_left = left;
         Ok(())
     }
 
@@ -87,6 +89,11 @@ impl<'a> Packed<'a> {
         push(&mut self.document.json, "buffers", json!({ "byteLength": self.data.len() }));
         self.document.buffers.push(self.data);
     }
+}
+
+/// What is said where [`MOST_BYTES`] are exceeded.
+fn too_large() -> String {
+    format!("with it the file unpacks to more than {} MiB; split the scene", MOST_BYTES >> 20)
 }
 
 /// Appends to a list of the document; returns the index.
