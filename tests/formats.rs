@@ -200,6 +200,7 @@ fn draco_streams_hold_what_was_encoded() {
         check_grid(&scene);
         let (parsed, again) = written(&scene);
         assert!(!parsed.json.to_string().contains("draco"), "{}", parsed.json);
+        assert!(parsed.buffers.iter().all(|b| b.windows(5).all(|w| w != b"DRACO")), "the stream is still there");
         assert_eq!(parsed.json.get("extensionsRequired"), None);
         assert_eq!(corners(&again), corners(&scene));
     }
@@ -273,4 +274,125 @@ fn damaged_draco_streams_never_panic() {
     for stream in DRACO {
         damage(&SceneBuilder::new().draco("grid", stream).glb(), 10_000);
     }
+}
+
+/// `plain()` with its last node drawn at three places more than once turned, by whichever attributes are given.
+fn instanced(attributes: &[(&str, u32, &str, Vec<u8>)]) -> SceneBuilder {
+    let mut builder = plain();
+    let mut accessors = json!({});
+    for (key, component, kind, bytes) in attributes {
+        let size = match component {
+            5126 => 4,
+            5122 => 2,
+            _ => 1,
+        };
+        let components = if *kind == "VEC4" { 4 } else { 3 };
+        let index = builder.accessor(bytes, *component, kind, bytes.len() / (size * components));
+        accessors[key] = json!(index);
+    }
+    builder.with("extensions", json!({"EXT_mesh_gpu_instancing": {"attributes": accessors}}))
+}
+
+fn floats(values: &[f32]) -> Vec<u8> {
+    values.iter().flat_map(|v| v.to_le_bytes()).collect()
+}
+
+#[test]
+fn instances_become_nodes() {
+    let attributes = [
+        ("TRANSLATION", 5126, "VEC3", floats(&[0.0, 0.0, 2.0, 0.0, 4.0, 0.0, -6.0, 0.0, 0.0])),
+        // A quarter turn about y, in whole numbers: not quite of length 1.
+        (
+            "ROTATION",
+            5120,
+            "VEC4",
+            [[0i8, 90, 0, 90], [0, 0, 0, 127], [127, 0, 0, 0]].concat().iter().map(|&c| c as u8).collect(),
+        ),
+        ("SCALE", 5126, "VEC3", floats(&[2.0, 1.0, 1.0, 1.0, 1.0, 1.0, -1.0, 1.0, 1.0])),
+        ("_ID", 5126, "VEC3", floats(&[0.0; 9])),
+    ];
+    let scene = load(instanced(&attributes).with("extras", json!({"mine": 1, "evenlight": {"weight": 2}})));
+    let codes: Vec<&str> = scene.warnings.iter().map(|w| w.code).collect();
+    assert_eq!(codes, ["attribute-dropped"]);
+    let names: Vec<&str> = scene.instances.iter().map(|i| i.name.as_str()).collect();
+    assert_eq!(names, ["floor", "box", "box again_0", "box again_1", "box again_2"]);
+    // The node is moved by (3, 0, 0). Translation * rotation * scale, by hand.
+    let world = |i: usize, p: [f64; 3]| scene.instances[i].world_from_object.transform_point3(p.into());
+    for (i, from, to) in [
+        (2, [0.5, 1.0, 0.25], [3.25, 1.0, 1.0]),
+        (3, [0.5, 1.0, 0.25], [3.5, 5.0, 0.25]),
+        (4, [0.5, 1.0, 0.25], [-3.5, -1.0, -0.25]),
+    ] {
+        assert!(world(i, from).distance(to.into()) < 1e-6, "{i}: {}", world(i, from));
+        assert_eq!((scene.instances[i].mesh, scene.instances[i].weight), (1, 2.0));
+    }
+    assert!(scene.instances[4].world_from_object.matrix3.determinant() < 0.0);
+
+    let (parsed, again) = written(&scene);
+    assert!(!parsed.json.to_string().contains("instancing"), "{}", parsed.json);
+    assert_eq!(corners(&again), corners(&scene));
+    let group = &parsed.json["nodes"][2];
+    assert_eq!((group.get("mesh"), &group["children"], &group["extras"]["mine"]), (None, &json!([3, 4, 5]), &json!(1)));
+    // A rectangle each, none of which overlap.
+    let rects: Vec<Vec<f64>> = [1, 3, 4, 5]
+        .iter()
+        .map(|&n| {
+            serde_json::from_value(parsed.json["nodes"][n]["extras"]["evenlight"]["rect"].clone()).expect("a rect")
+        })
+        .collect();
+    for (i, a) in rects.iter().enumerate() {
+        for b in &rects[i + 1..] {
+            let apart = |k: usize| a[k] + a[k + 2] <= b[k] || b[k] + b[k + 2] <= a[k];
+            assert!(apart(0) || apart(1), "{a:?} {b:?}");
+        }
+    }
+}
+
+#[test]
+fn odd_instances_are_told() {
+    let place = |values: &[f32]| ("TRANSLATION", 5126, "VEC3", floats(values));
+    let scene = load(instanced(&[place(&[0.0, 0.0, 0.0, f32::NAN, 0.0, 0.0])]));
+    assert_eq!((scene.instances.len(), scene.warnings[0].code), (3, "odd-transform"));
+    written(&scene);
+    let scene = load(instanced(&[]));
+    assert_eq!((scene.instances.len(), scene.warnings[0].code), (3, "gpu-instancing"));
+    let scene =
+        load(instanced(&[place(&[0.0; 3])]).patch(|j| _ = j["nodes"][2].as_object_mut().unwrap().remove("mesh")));
+    assert_eq!((scene.instances.len(), scene.warnings[0].code), (2, "gpu-instancing"));
+    written(&scene);
+
+    let differ = instanced(&[place(&[0.0; 6]), ("SCALE", 5126, "VEC3", floats(&[1.0; 9]))]);
+    assert!(error(differ).contains("nodes[2] 'box again' SCALE has 3 values for 2 instances"));
+    let flat = instanced(&[("TRANSLATION", 5126, "VEC4", floats(&[0.0; 8]))]);
+    assert!(error(flat).contains("4 components"));
+    let many = instanced(&[place(&[0.0; 3])]).patch(|j| {
+        j["accessors"].as_array_mut().unwrap().last_mut().unwrap().as_object_mut().unwrap().remove("bufferView");
+        j["accessors"].as_array_mut().unwrap().last_mut().unwrap()["count"] = json!(1 << 20);
+    });
+    assert!(error(many).contains("split the scene"));
+}
+
+#[test]
+fn animated_morph_targets_of_instances_stay_animated() {
+    let scene = load(instanced(&[("TRANSLATION", 5126, "VEC3", floats(&[0.0, 0.0, 0.0, 5.0, 0.0, 0.0]))]).patch(|j| {
+        let sampler = json!({"input": 0, "output": 0});
+        j["animations"] = json!([{"samplers": [sampler], "channels": [
+            {"sampler": 0, "target": {"node": 2, "path": "translation"}},
+            {"sampler": 0, "target": {"node": 2, "path": "weights"}}]}]);
+    }));
+    let targets: Vec<Value> = scene.source.json["animations"][0]["channels"]
+        .as_array()
+        .unwrap()
+        .iter()
+        .map(|c| c["target"].clone())
+        .collect();
+    let target = |node: u32, path: &str| json!({"node": node, "path": path});
+    assert_eq!(targets, [target(2, "translation"), target(3, "weights"), target(4, "weights")]);
+}
+
+#[test]
+fn damaged_instances_never_panic() {
+    let place = ("TRANSLATION", 5126, "VEC3", floats(&[1.0, 2.0, 3.0, 4.0, 5.0, 6.0]));
+    let turn = ("ROTATION", 5126, "VEC4", floats(&[0.0, 0.0, 0.0, 1.0, 0.0, 1.0, 0.0, 0.0]));
+    damage(&instanced(&[place, turn]).glb(), 10_000);
 }

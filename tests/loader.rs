@@ -351,6 +351,7 @@ fn shared_files_hold_what_they_should() {
         ("loader/assimp_2CylinderEngine_draco.glb", 110_336),
         ("loader/pc_chess-board_draco.glb", 178_848),
         ("loader/pc_heart_draco.glb", 180),
+        ("loader/bio_24_gpu_instancing.glb", 2 + (958 + 941) * 4_032),
         ("loader/gk_japanese-bridge-garden_meshopt.glb", 21_883),
         ("loader/bio_02_shared_mesh.glb", 24),
         ("loader/external-uri/CubeImageUriSpaces/CubeImageUriMultipleSpaces.gltf", 12),

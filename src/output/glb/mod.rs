@@ -232,9 +232,6 @@ fn used_accessors(json: &Value) -> BTreeSet<usize> {
         used.extend([&sampler["input"], &sampler["output"]]);
     }
     used.extend(items(json, "skins").map(|skin| &skin["inverseBindMatrices"]));
-    for node in items(json, "nodes") {
-        used.extend(values(&node["extensions"]["EXT_mesh_gpu_instancing"]["attributes"]));
-    }
     used.into_iter().filter_map(|index| integer(Some(index))).collect()
 }
 

@@ -52,7 +52,6 @@ pub(super) fn check(reader: &mut Reader) -> Result<(), SceneError> {
 fn unsupported(reader: &Reader, name: &str) -> SceneError {
     let cure = match name {
         "KHR_texture_basisu" => "`gltf-transform ktxdecompress in.glb out.glb` turns its textures into PNG",
-        "EXT_mesh_gpu_instancing" => "export it with one node per instance",
         _ => "export it without this extension",
     };
     SceneError::Extension { path: reader.document.path.clone(), extension: name.into(), cure: cure.into() }

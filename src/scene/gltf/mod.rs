@@ -54,8 +54,8 @@ pub fn load_bytes(path: &Path, bytes: &[u8]) -> Result<Scene, SceneError> {
     let (mut document, warnings) = container::read(path, bytes)?;
     let mut reader = Reader::new(&document, warnings);
     extension::check(&mut reader)?;
-    let warnings = reader.warnings;
-    unpack::unpack(&mut document)?;
+    let mut warnings = reader.warnings;
+    unpack::unpack(&mut document, &mut warnings)?;
     let mut reader = Reader::new(&document, warnings);
     let mut tree = node::walk(&mut reader)?;
 

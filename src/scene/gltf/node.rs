@@ -142,9 +142,6 @@ fn read_node(
         if node.skin.is_some() {
             reader.warn("skin", format!("{label} is skinned; it is baked in its bind pose"));
         }
-        if node.extensions.as_ref().is_some_and(|e| e.others.contains_key("EXT_mesh_gpu_instancing")) {
-            reader.warn("gpu-instancing", format!("{label} stands for many instances; only one is baked"));
-        }
         if is_drawable(&world_from_node) {
             tree.instances.push(read_instance(reader, index, mesh.value(), world_from_node, &label));
         } else {

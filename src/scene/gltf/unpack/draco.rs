@@ -30,6 +30,8 @@ struct Filled {
     taken: BTreeSet<usize>,
     /// Where the data of a source is, by the accessor that asked for it.
     accessors: BTreeMap<(Source, Option<usize>), usize>,
+    /// The accessor of each new view.
+    owners: Vec<usize>,
 }
 
 /// Decodes all compressed primitives of a document. One that comes with uncompressed data keeps that, unless the
@@ -56,7 +58,38 @@ pub(super) fn unpack(packed: &mut Packed) -> Result<(), String> {
         }
     }
     drop_extension(&mut packed.document.json, NAME);
+    free_streams(&mut packed.document.json, filled);
     Ok(())
+}
+
+/// Lets new views take the numbers of those of the streams, so that the streams leave the document. Views that
+/// anything else refers to stay.
+fn free_streams(json: &mut Value, mut filled: Filled) {
+    let mut streams: BTreeSet<u64> = filled.accessors.keys().map(|((view, _), _)| *view).collect();
+    remove_referenced(json, &mut streams);
+    for view in streams {
+        // There is a new view for each stream at least.
+        let Some(owner) = filled.owners.pop() else { return };
+        let last = json.get_mut("bufferViews").and_then(Value::as_array_mut).and_then(Vec::pop);
+        if let Some(last) = last {
+            json["bufferViews"][view as usize] = last;
+            json["accessors"][owner]["bufferView"] = view.into();
+        }
+    }
+}
+
+/// Takes those views from a set that an object refers to: whatever the object, the key is `bufferView`.
+fn remove_referenced(value: &Value, views: &mut BTreeSet<u64>) {
+    match value {
+        Value::Object(object) => {
+            if let Some(view) = object.get("bufferView").and_then(Value::as_u64) {
+                views.remove(&view);
+            }
+            object.values().for_each(|v| remove_referenced(v, views));
+        }
+        Value::Array(list) => list.iter().for_each(|v| remove_referenced(v, views)),
+        _ => {}
+    }
 }
 
 /// True where everything a primitive is drawn with has data in the document.
@@ -161,13 +194,15 @@ fn place(packed: &mut Packed, filled: &mut Filled, index: Option<usize>, mut obj
         object.shift_remove("sparse");
     }
     object["bufferView"] = push(json, "bufferViews", view).into();
-    match index {
+    let at = match index {
         Some(i) if is_free && filled.taken.insert(i) => {
             json["accessors"][i] = object;
             i
         }
         _ => push(json, "accessors", object),
-    }
+    };
+    filled.owners.push(at);
+    at
 }
 
 /// Elements of an accessor.

@@ -5,11 +5,12 @@
 //! back, so that neither needs to know of them.
 
 mod draco;
+mod instances;
 pub(super) mod meshopt;
 
 use super::Document;
 use super::reader::REPAIR;
-use crate::error::SceneError;
+use crate::error::{SceneError, Warning};
 use serde_json::{Value, json};
 
 /// Most bytes that a file may be unpacked to: 1 GiB. A stream can stand for a thousand times its own size, and
@@ -17,20 +18,22 @@ use serde_json::{Value, json};
 const MOST_BYTES: u64 = 1 << 30;
 
 /// Extensions that are unpacked.
-pub(super) const SUPPORTED: &[&str] = &["EXT_meshopt_compression", draco::NAME, "KHR_meshopt_compression"];
+pub(super) const SUPPORTED: &[&str] =
+    &["EXT_meshopt_compression", "KHR_meshopt_compression", draco::NAME, instances::NAME];
 
-/// Unpacks a document.
+/// Unpacks a document; adds to `warnings`.
 ///
 /// # Errors
 /// [`SceneError::Invalid`] names the object that cannot be unpacked.
-pub(super) fn unpack(document: &mut Document) -> Result<(), SceneError> {
+pub(super) fn unpack(document: &mut Document, warnings: &mut Vec<Warning>) -> Result<(), SceneError> {
     let path = document.path.clone();
     let mut packed = Packed::new(document);
-    // A Draco stream may itself lie in a compressed view.
+    // A Draco stream may itself lie in a compressed view, and so may the places of instances.
     meshopt::unpack(&mut packed)
         .and_then(|()| draco::unpack(&mut packed))
         .map(|()| packed.finish())
-        .map_err(|what| SceneError::Invalid { path, what: format!("{what}; {REPAIR}") })
+        .map_err(|what| SceneError::Invalid { path, what: format!("{what}; {REPAIR}") })?;
+    instances::unpack(document, warnings)
 }
 
 /// A document while it is unpacked.
