@@ -9,6 +9,7 @@ use common::glb::SceneBuilder;
 use common::packed::DRACO;
 use evenlight::options::Density;
 use evenlight::output::glb::{GlbOptions, write};
+use evenlight::scene::gltf::LoadOptions;
 use evenlight::{BakeOptions, Scene};
 use glb_reader::{Parsed, parse};
 use serde_json::{Value, json};
@@ -395,4 +396,105 @@ fn damaged_instances_never_panic() {
     let place = ("TRANSLATION", 5126, "VEC3", floats(&[1.0, 2.0, 3.0, 4.0, 5.0, 6.0]));
     let turn = ("ROTATION", 5126, "VEC4", floats(&[0.0, 0.0, 0.0, 1.0, 0.0, 1.0, 0.0, 0.0]));
     damage(&instanced(&[place, turn]).glb(), 10_000);
+}
+
+#[test]
+fn hidden_nodes_are_not_baked_but_kept() {
+    let hide = |visible: bool| json!({"KHR_node_visibility": {"visible": visible}});
+    let scene = |visible: bool| {
+        plain()
+            .point_light("lamp", [0.0, 2.0, 0.0], [100.0; 3])
+            .camera("eye", [0.0, 1.0, 5.0], [0.0, 0.0, -1.0], 0.8)
+            .node(json!({"name": "group", "extensions": hide(visible), "children": [1, 3, 4]}))
+            .patch(|j| {
+                j["extensionsUsed"] = json!(["KHR_lights_punctual", "KHR_node_visibility"]);
+                j["extensionsRequired"] = j["extensionsUsed"].clone();
+                j["scenes"][0]["nodes"] = json!([0, 5, 2]);
+                // A child that says of itself that it is visible is not, below one that is not.
+                j["nodes"][1]["extensions"] = hide(true);
+            })
+    };
+    let all = load(scene(true));
+    assert_eq!((all.instances.len(), all.lights.len(), all.cameras.len(), all.warnings.len()), (3, 1, 1, 0));
+    let some = load(scene(false));
+    assert_eq!((some.instances.len(), some.lights.len(), some.cameras.len()), (2, 0, 1));
+    let warnings: Vec<_> = some.warnings.iter().map(|w| (w.code, w.message.starts_with("2 nodes"))).collect();
+    assert_eq!(warnings, [("hidden-nodes", true)]);
+    assert!(some.instances.iter().all(|i| i.name != "box"));
+
+    let (parsed, again) = written(&some);
+    assert_eq!(parsed.json["nodes"][5]["extensions"], hide(false));
+    assert_eq!(parsed.json["extensionsRequired"], some.source.json["extensionsRequired"]);
+    assert_eq!(again.instances.len(), 2);
+}
+
+/// A floor that is red, or green, or has no material, and a box that is always red.
+fn variants() -> SceneBuilder {
+    plain().material("red", [0.8, 0.1, 0.1]).material("green", [0.1, 0.8, 0.1]).patch(|j| {
+        j["extensionsUsed"] = json!(["KHR_materials_variants", "KHR_xmp_json_ld"]);
+        j["extensionsRequired"] = json!(["KHR_materials_variants"]);
+        let names = json!([{"name": "Summer"}, {"name": "Autumn"}, {}]);
+        j["extensions"] = json!({"KHR_materials_variants": {"variants": names},
+            "KHR_xmp_json_ld": {"packets": [{"dc:title": "a floor"}]}});
+        j["asset"]["extensions"] = json!({"KHR_xmp_json_ld": {"packet": 0}});
+        let mappings = json!([{"material": 2, "variants": [0]}, {"material": 1, "variants": [1]}]);
+        j["meshes"][0]["primitives"][0]["extensions"] = json!({"KHR_materials_variants": {"mappings": mappings}});
+        j["meshes"][1]["primitives"][0]["material"] = json!(1);
+    })
+}
+
+#[test]
+fn variants_of_materials_are_chosen_by_name() {
+    let folder = tempfile::tempdir().expect("a temporary folder");
+    let path = folder.path().join("shop.glb");
+    std::fs::write(&path, variants().glb()).expect("the folder can be written");
+    let load =
+        |variant: Option<&str>| Scene::from_gltf_with(&path, &LoadOptions { variant: variant.map(str::to_owned) });
+    for (variant, floor) in
+        [(None, "grey"), (Some("Summer"), "green"), (Some("Autumn"), "red"), (Some("variant 2"), "grey")]
+    {
+        let scene = load(variant).expect("the scene is good");
+        let material = |m: usize| scene.materials[scene.meshes[m].primitives[0].material].name.as_str();
+        assert_eq!((material(0), material(1)), (floor, "red"), "{variant:?}");
+        assert!(scene.warnings.is_empty(), "{:?}", scene.warnings);
+        let (parsed, _) = written(&scene);
+        for key in ["extensions", "extensionsUsed", "extensionsRequired", "asset"] {
+            assert_eq!(parsed.json[key], scene.source.json[key], "{key}");
+        }
+        let extensions = |j: &Value| j["meshes"][0]["primitives"][0]["extensions"].clone();
+        assert_eq!(extensions(&parsed.json), extensions(&scene.source.json));
+    }
+    let error = load(Some("summer")).expect_err("no such variant").to_string();
+    assert!(error.contains("'summer'") && error.contains("Summer, Autumn, variant 2"), "{error}");
+
+    let run = |arguments: &[&str]| {
+        let program =
+            assert_cmd::Command::new(env!("CARGO_BIN_EXE_evenlight")).current_dir(&folder).args(arguments).output();
+        let output = program.expect("the program starts");
+        let text = |b: &[u8]| String::from_utf8_lossy(b).into_owned();
+        (output.status.code(), text(&output.stdout), text(&output.stderr))
+    };
+    let bake =
+        ["bake", "shop.glb", "-o", "out", "--sky", "1", "--max-texture", "64", "--max-photons", "1e4", "--variant"];
+    let (status, _, message) = run(&[&bake[..], &["Winter"]].concat());
+    assert!(status == Some(1) && message.contains("Summer, Autumn"), "{status:?} {message}");
+    let (status, _, message) = run(&[&bake[..], &["Summer"]].concat());
+    assert!(matches!(status, Some(0 | 3)), "{status:?} {message}");
+    let manifest = std::fs::read(folder.path().join("out/lightmap.json")).expect("a manifest");
+    assert_eq!(serde_json::from_slice::<Value>(&manifest).expect("JSON")["variant"], "Summer");
+    let (status, text, _) = run(&["inspect", "shop.glb", "--variant", "Autumn"]);
+    assert!(status == Some(0) && text.contains("variants    Summer, Autumn, variant 2"), "{text}");
+}
+
+#[test]
+fn a_variant_without_a_material_is_a_fault() {
+    let folder = tempfile::tempdir().expect("a temporary folder");
+    let path = folder.path().join("shop.glb");
+    let broken = variants().patch(|j| {
+        j["meshes"][0]["primitives"][0]["extensions"]["KHR_materials_variants"]["mappings"][0]["material"] = json!("x");
+    });
+    std::fs::write(&path, broken.glb()).expect("the folder can be written");
+    assert!(Scene::from_gltf(&path).is_ok(), "nobody asked for a variant");
+    let error = Scene::from_gltf_with(&path, &LoadOptions { variant: Some("Summer".into()) }).expect_err("broken");
+    assert!(error.to_string().contains("meshes[0] 'floor' primitive 0"), "{error}");
 }

@@ -58,7 +58,15 @@ impl Scene {
     /// # Errors
     /// [`SceneError`] names the file, the object and the cure.
     pub fn from_gltf(path: impl AsRef<Path>) -> Result<Scene, SceneError> {
-        gltf::load(path.as_ref())
+        Scene::from_gltf_with(path, &gltf::LoadOptions::default())
+    }
+
+    /// The same with a choice of what of the file is loaded.
+    ///
+    /// # Errors
+    /// [`SceneError`] names the file, the object and the cure.
+    pub fn from_gltf_with(path: impl AsRef<Path>, options: &gltf::LoadOptions) -> Result<Scene, SceneError> {
+        gltf::load(path.as_ref(), options)
     }
 
     /// Number of triangles over all instances, degenerate ones included.

@@ -13,7 +13,9 @@ const SUPPORTED: &[&str] = &[
     "KHR_materials_pbrSpecularGlossiness",
     "KHR_materials_transmission",
     "KHR_materials_unlit",
+    "KHR_materials_variants",
     "KHR_mesh_quantization",
+    "KHR_node_visibility",
     "KHR_texture_transform",
 ];
 
@@ -28,7 +30,6 @@ const HARMLESS: &[&str] = &[
     "KHR_materials_iridescence",
     "KHR_materials_sheen",
     "KHR_materials_specular",
-    "KHR_materials_variants",
     "KHR_materials_volume",
     "KHR_xmp_json_ld",
 ];

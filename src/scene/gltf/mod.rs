@@ -16,6 +16,7 @@ mod node;
 mod primitive;
 mod reader;
 mod unpack;
+mod variant;
 
 pub(crate) use unpack::{drop_extension, take_extension};
 
@@ -37,12 +38,20 @@ pub struct Document {
     pub buffers: Vec<Vec<u8>>,
 }
 
+/// What of a file is loaded.
+#[derive(Debug, Clone, Default, PartialEq, Eq)]
+pub struct LoadOptions {
+    /// The variant of KHR_materials_variants whose materials are used. Default: none, the materials that primitives
+    /// name themselves.
+    pub variant: Option<String>,
+}
+
 /// Loads a `.glb` or `.gltf` file: its default scene, else its first one, else all root nodes.
 ///
 /// # Errors
 /// [`SceneError`] names the file, the object and the cure.
-pub fn load(path: &Path) -> Result<Scene, SceneError> {
-    load_bytes(path, &container::read_file(path)?)
+pub fn load(path: &Path, options: &LoadOptions) -> Result<Scene, SceneError> {
+    load_document(path, &container::read_file(path)?, options)
 }
 
 /// Loads the contents of a `.glb` or `.gltf` file. `path` names it in messages, and its folder is where the
@@ -51,12 +60,17 @@ pub fn load(path: &Path) -> Result<Scene, SceneError> {
 /// # Errors
 /// As [`load`].
 pub fn load_bytes(path: &Path, bytes: &[u8]) -> Result<Scene, SceneError> {
+    load_document(path, bytes, &LoadOptions::default())
+}
+
+fn load_document(path: &Path, bytes: &[u8], options: &LoadOptions) -> Result<Scene, SceneError> {
     let (mut document, warnings) = container::read(path, bytes)?;
     let mut reader = Reader::new(&document, warnings);
     extension::check(&mut reader)?;
     let mut warnings = reader.warnings;
     unpack::unpack(&mut document, &mut warnings)?;
     let mut reader = Reader::new(&document, warnings);
+    reader.variant = options.variant.as_ref().map(|name| variant::find(&reader, name)).transpose()?;
     let mut tree = node::walk(&mut reader)?;
 
     let mut drawn: Vec<usize> = tree.instances.iter().map(|i| i.mesh).collect();

@@ -1,6 +1,7 @@
 //! Meshes and their primitives: every topology of triangles becomes a list, one triangle of the source each.
 
 use super::reader::{REPAIR, Reader};
+use super::variant;
 use crate::error::SceneError;
 use crate::scene::{Mesh, Primitive};
 use glam::{Vec2, Vec3, Vec4};
@@ -81,7 +82,7 @@ fn read_primitive(
             uvs.into_iter().map(|uv| Vec2::from(uv.map(|c| if c.is_finite() { c } else { 0.0 }))).collect();
     }
     // Replaced by the default material, which stands behind the file's own, where the file gives none.
-    let material = raw.material.map_or(usize::MAX, |m| m.value());
+    let material = variant::material(reader, raw, label)?.or(raw.material.map(|m| m.value())).unwrap_or(usize::MAX);
     Ok(Some(Primitive { source, positions, normals, tex_coords, colors, triangles, material }))
 }
 
