@@ -371,6 +371,9 @@ fn odd_instances_are_told() {
         j["accessors"].as_array_mut().unwrap().last_mut().unwrap()["count"] = json!(1 << 20);
     });
     assert!(error(many).contains("split the scene"));
+    // Long extras, many times.
+    let long = instanced(&[place(&[0.0; 30_000])]).with("extras", json!({"evenlight": {"note": "x".repeat(40_000)}}));
+    assert!(error(long).contains("256 MiB"));
 }
 
 #[test]

@@ -10,31 +10,46 @@ use crate::scene::gltf::Document;
 use crate::scene::gltf::reader::{REPAIR, Reader};
 use glam::{DQuat, Quat};
 use serde_json::{Map, Value, json};
+use std::collections::BTreeMap;
 
 pub(super) const NAME: &str = "EXT_mesh_gpu_instancing";
 
 /// Most instances of a file: 2^18. Each becomes a node, with its own part of the atlas.
 const MOST_INSTANCES: u64 = 1 << 18;
 
+/// Most bytes of JSON that instances may copy from their nodes: 256 MiB.
+const MOST_COPIED: u64 = 1 << 28;
+
 /// Properties of a node that go with its mesh.
 const OF_MESH: [&str; 3] = ["mesh", "skin", "weights"];
+
+/// What instances may still take of memory.
+struct Left {
+    instances: u64,
+    copied: u64,
+}
 
 /// Replaces all instanced nodes of a document; adds to `warnings`.
 ///
 /// # Errors
 /// [`SceneError::Invalid`] names the node, what is wrong with its instances, and the cure.
 pub(super) fn unpack(document: &mut Document, warnings: &mut Vec<Warning>) -> Result<(), SceneError> {
-    let mut left = MOST_INSTANCES;
+    let mut left = Left { instances: MOST_INSTANCES, copied: MOST_COPIED };
+    let animated = animated_weights(&document.json);
+    let mut groups = BTreeMap::new();
     let count = document.json.get("nodes").and_then(Value::as_array).map_or(0, Vec::len);
     for node in 0..count {
         let Some(extension) = take_extension(&mut document.json["nodes"][node], NAME) else { continue };
+        // Bytes that each instance copies, at most.
+        let copied = document.json["nodes"][node].to_string().len() + animated.get(&(node as u64)).unwrap_or(&0);
         let mut reader = Reader::new(document, std::mem::take(warnings));
-        let transforms = read(&mut reader, node, &extension, &mut left)?;
+        let transforms = read(&mut reader, node, &extension, copied as u64, &mut left)?;
         *warnings = reader.warnings;
         if let Some(transforms) = transforms {
-            replace(&mut document.json, node, transforms);
+            groups.insert(node as u64, replace(&mut document.json, node, transforms));
         }
     }
+    retarget_weights(&mut document.json, &groups);
     drop_extension(&mut document.json, NAME);
     Ok(())
 }
@@ -45,7 +60,8 @@ fn read(
     reader: &mut Reader,
     node: usize,
     extension: &Value,
-    left: &mut u64,
+    copied: u64,
+    left: &mut Left,
 ) -> Result<Option<Vec<Map<String, Value>>>, SceneError> {
     let label = reader.label("nodes", node);
     let attributes = extension.get("attributes").and_then(Value::as_object);
@@ -71,11 +87,14 @@ fn read(
         reader.warn("attribute-dropped", message);
     }
     let count = count(reader, first, &label)?;
-    // Each takes a node, and a channel of each animation of its morph targets.
-    let copies = count.saturating_mul(1 + weight_channels(&reader.document.json, node));
-    *left = left.checked_sub(copies).ok_or_else(|| {
-        reader.invalid(format!("{label}: with it the file has more than {MOST_INSTANCES} instances; split the scene"))
-    })?;
+    let fits = left.instances.checked_sub(count).zip(left.copied.checked_sub(count.saturating_mul(copied)));
+    let Some((instances, copied)) = fits else {
+        return Err(reader.invalid(format!(
+            "{label}: with it the file has more than {MOST_INSTANCES} instances, or {} MiB of them; split the scene",
+            MOST_COPIED >> 20
+        )));
+    };
+    *left = Left { instances, copied };
     let mut transforms = vec![Map::new(); count as usize];
     let mut nowhere = vec![false; count as usize];
     for (key, accessor) in accessors {
@@ -115,9 +134,9 @@ fn unit(rotation: [f32; 4]) -> [f32; 4] {
     }
 }
 
-/// Moves the mesh of a node to new children, one per transform.
-fn replace(json: &mut Value, node: usize, transforms: Vec<Map<String, Value>>) {
-    let Some(group) = json["nodes"][node].as_object_mut() else { return };
+/// Moves the mesh of a node to new children, one per transform; returns their indices.
+fn replace(json: &mut Value, node: usize, transforms: Vec<Map<String, Value>>) -> Vec<Value> {
+    let Some(group) = json["nodes"][node].as_object_mut() else { return Vec::new() };
     let mut common = Map::new();
     for key in OF_MESH {
         common.extend(group.shift_remove(key).map(|value| (key.to_owned(), value)));
@@ -140,38 +159,43 @@ fn replace(json: &mut Value, node: usize, transforms: Vec<Map<String, Value>>) {
         child.extend(transform);
         children.push(push(json, "nodes", child.into()).into());
     }
-    retarget_weights(json, node, &children);
-    let Some(group) = json["nodes"][node].as_object_mut() else { return };
+    let Some(group) = json["nodes"][node].as_object_mut() else { return children };
     match group.get_mut("children").and_then(Value::as_array_mut) {
-        Some(own) => own.extend(children),
+        Some(own) => own.extend(children.iter().cloned()),
         // A list of children must not be empty.
         None if children.is_empty() => {}
-        None => _ = group.insert("children".into(), children.into()),
+        None => _ = group.insert("children".into(), children.clone().into()),
     }
+    children
 }
 
-/// True for a channel that animates the morph targets of a node.
-fn moves_weights(channel: &Value, node: usize) -> bool {
-    let target = channel.get("target");
-    target.is_some_and(|t| number(t, "node") == Some(node as u64) && t.get("path") == Some(&json!("weights")))
+/// The node whose morph targets a channel animates.
+fn weights_of(channel: &Value) -> Option<u64> {
+    let target = channel.get("target")?;
+    number(target, "node").filter(|_| target.get("path").and_then(Value::as_str) == Some("weights"))
 }
 
-/// Number of channels of all animations that animate the morph targets of a node.
-fn weight_channels(json: &Value, node: usize) -> u64 {
+/// Bytes of the channels that animate the morph targets of each node.
+fn animated_weights(json: &Value) -> BTreeMap<u64, usize> {
     let animations = json.get("animations").and_then(Value::as_array).into_iter().flatten();
-    let channels = animations.filter_map(|a| a.get("channels").and_then(Value::as_array)).flatten();
-    channels.filter(|channel| moves_weights(channel, node)).count() as u64
+    let mut bytes = BTreeMap::new();
+    for channel in animations.filter_map(|a| a.get("channels").and_then(Value::as_array)).flatten() {
+        if let Some(node) = weights_of(channel) {
+            *bytes.entry(node).or_insert(0) += channel.to_string().len();
+        }
+    }
+    bytes
 }
 
-/// Lets animations of a node's morph targets act on those that now draw its mesh.
-fn retarget_weights(json: &mut Value, node: usize, children: &[Value]) {
+/// Lets animations of the morph targets of groups act on the nodes that now draw the mesh.
+fn retarget_weights(json: &mut Value, groups: &BTreeMap<u64, Vec<Value>>) {
     for animation in json.get_mut("animations").and_then(Value::as_array_mut).into_iter().flatten() {
         let Some(channels) = animation.get_mut("channels").and_then(Value::as_array_mut) else { continue };
         for channel in std::mem::take(channels) {
-            if !moves_weights(&channel, node) {
+            let Some(children) = weights_of(&channel).and_then(|node| groups.get(&node)) else {
                 channels.push(channel);
                 continue;
-            }
+            };
             for child in children {
                 let mut copy = channel.clone();
                 copy["target"]["node"] = child.clone();

@@ -135,3 +135,28 @@ impl View {
         }
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    proptest! {
+        /// Whatever the bytes are, there is an error or as much data as asked for.
+        #[test]
+        fn any_bytes_are_data_or_an_error(
+            header in prop::sample::select(vec![0xa0u8, 0xa1, 0xe1, 0xd1, 0x00]),
+            body in prop::collection::vec(prop_oneof![Just(0u8), Just(0xff), any::<u8>()], 0..400),
+            count in 0usize..600,
+            stride in prop::sample::select(vec![2usize, 4, 8, 12, 16, 256]),
+            filter in prop::sample::select(vec!["NONE", "OCTAHEDRAL", "QUATERNION", "EXPONENTIAL", "COLOR"]),
+            mode in prop::sample::select(vec!["ATTRIBUTES", "TRIANGLES", "INDICES"]),
+        ) {
+            let json = serde_json::json!({"count": count, "byteStride": stride, "filter": filter, "mode": mode});
+            let stream: Vec<u8> = std::iter::once(header).chain(body).collect();
+            if let Ok(data) = View::parse(&json).map_err(|_| "").and_then(|view| view.decode(&stream)) {
+                prop_assert_eq!(data.len(), count * stride);
+            }
+        }
+    }
+}
