@@ -7,6 +7,7 @@ mod glb_reader;
 
 use common::glb::SceneBuilder;
 use common::packed::DRACO;
+use common::random::Random;
 use evenlight::options::Density;
 use evenlight::output::glb::{GlbOptions, write};
 use evenlight::scene::gltf::LoadOptions;
@@ -64,14 +65,8 @@ fn written(scene: &Scene) -> (Parsed, Scene) {
 
 /// Loads damaged copies of a file: errors and odd scenes are fine, panics and hangs are not.
 fn damage(good: &[u8], rounds: usize) {
-    // SplitMix64, fixed seed (Steele, Lea, Flood, Fast splittable pseudorandom number generators, 2014).
-    let mut state = 11u64;
-    let mut random = |n: usize| {
-        state = state.wrapping_add(0x9E37_79B9_7F4A_7C15);
-        let z = (state ^ (state >> 30)).wrapping_mul(0xBF58_476D_1CE4_E5B9);
-        let z = (z ^ (z >> 27)).wrapping_mul(0x94D0_49BB_1331_11EB);
-        ((z ^ (z >> 31)) % n as u64) as usize
-    };
+    let mut random = Random::new(11);
+    let mut random = |n: usize| random.below(n);
     let binary = good.windows(4).rposition(|w| w == b"BIN\0").expect("a binary chunk") + 4;
     for _ in 0..rounds {
         let mut bytes = good.to_vec();
@@ -92,6 +87,52 @@ fn damage(good: &[u8], rounds: usize) {
             }
         }
     }
+}
+
+/// Loads copies of a scene in which values of the JSON are of another kind than they should be.
+fn confuse(builder: SceneBuilder, rounds: usize) {
+    fn pointers(value: &Value, at: &str, found: &mut Vec<String>) {
+        found.push(at.to_owned());
+        match value {
+            Value::Object(o) => o.iter().for_each(|(k, v)| pointers(v, &format!("{at}/{k}"), found)),
+            Value::Array(a) => a.iter().enumerate().for_each(|(k, v)| pointers(v, &format!("{at}/{k}"), found)),
+            _ => {}
+        }
+    }
+    let good: Value = serde_json::from_str(&builder.gltf()).expect("JSON");
+    let mut all = Vec::new();
+    pointers(&good, "", &mut all);
+    let odd = [
+        json!(null),
+        json!(0),
+        json!(5),
+        json!(-1),
+        json!(1e300),
+        json!("x"),
+        json!([]),
+        json!({}),
+        json!(true),
+        json!([5, {}]),
+    ];
+    let mut random = Random::new(3);
+    for _ in 0..rounds {
+        let mut json = good.clone();
+        for _ in 0..1 + random.below(2) {
+            if let Some(value) = json.pointer_mut(&all[random.below(all.len())]) {
+                *value = odd[random.below(odd.len())].clone();
+            }
+        }
+        let _ = load_bytes(json.to_string().as_bytes());
+    }
+}
+
+#[test]
+fn values_of_the_wrong_kind_never_panic() {
+    let place = ("TRANSLATION", 5126, "VEC3", floats(&[1.0, 2.0, 3.0, 4.0, 5.0, 6.0]));
+    confuse(plain().meshopt(MESHOPT[0]), 5_000);
+    confuse(SceneBuilder::new().draco("grid", DRACO[0]).draco("other", DRACO[1]), 20_000);
+    confuse(instanced(&[place]), 5_000);
+    confuse(variants(), 2_000);
 }
 
 const MESHOPT: [&str; 2] = ["EXT_meshopt_compression", "KHR_meshopt_compression"];
@@ -500,4 +541,26 @@ fn a_variant_without_a_material_is_a_fault() {
     assert!(Scene::from_gltf(&path).is_ok(), "nobody asked for a variant");
     let error = Scene::from_gltf_with(&path, &LoadOptions { variant: Some("Summer".into()) }).expect_err("broken");
     assert!(error.to_string().contains("meshes[0] 'floor' primitive 0"), "{error}");
+}
+
+#[test]
+fn textures_in_ktx2_alone_are_told_with_the_cure() {
+    let textured = |texture: Value| {
+        plain().patch(move |j| {
+            j["textures"] = json!([texture]);
+            j["images"] = json!([{"uri": "a.ktx2"}, {"uri": "data:image/png;base64,"}]);
+            j["extensionsUsed"] = json!(["KHR_texture_basisu"]);
+            j["materials"][0]["emissiveTexture"] = json!({"index": 0});
+        })
+    };
+    let basisu = json!({"KHR_texture_basisu": {"source": 0}});
+    let scene = load(textured(json!({"extensions": basisu})));
+    let told = scene.warnings.iter().find(|w| w.code == "image-not-found").expect("a warning");
+    assert!(told.message.contains("materials[0] 'grey'") && told.message.contains("ktxdecompress"), "{}", told.message);
+    // With another image for readers without KTX2, that one is taken.
+    let scene = load(textured(json!({"source": 1, "extensions": basisu})));
+    assert_eq!(scene.textures.len(), 1);
+    let required =
+        textured(json!({"extensions": basisu})).patch(|j| j["extensionsRequired"] = json!(["KHR_texture_basisu"]));
+    assert!(error(required).contains("ktxdecompress"));
 }

@@ -48,7 +48,7 @@ pub struct Scene {
     pub sky: Option<Sky>,
     /// What is odd but usable in the source.
     pub warnings: Vec<Warning>,
-    /// The document as read, for writing it back with lightmap UVs.
+    /// The document as read and unpacked, for writing it back with lightmap UVs.
     pub source: gltf::Document,
 }
 

@@ -1,7 +1,7 @@
 //! The scene with its lightmap UVs as one GLB file.
 //!
-//! In: the document as it was read, the scene and its atlas. Out: the same document with TEXCOORD_1 on every
-//! baked primitive, everything else untouched: the JSON is patched, not rebuilt, so that properties and
+//! In: the document as it was read and unpacked, the scene and its atlas. Out: the same document with TEXCOORD_1
+//! on every baked primitive, everything else untouched: the JSON is patched, not rebuilt, so that properties and
 //! extensions that nobody here knows survive. Vertices are copied as raw bytes.
 
 mod accessor;

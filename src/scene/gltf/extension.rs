@@ -5,6 +5,12 @@ use super::unpack;
 use crate::error::SceneError;
 use serde_json::Value;
 
+/// Textures in KTX2, which are not read.
+pub(super) const BASISU: &str = "KHR_texture_basisu";
+
+/// How to have them read all the same.
+pub(super) const BASISU_CURE: &str = "`gltf-transform ktxdecompress in.glb out.glb` turns textures in KTX2 into PNG";
+
 /// Read by this loader.
 const SUPPORTED: &[&str] = &[
     "EXT_texture_webp",
@@ -52,7 +58,7 @@ pub(super) fn check(reader: &mut Reader) -> Result<(), SceneError> {
 /// The error for an extension without which the file cannot be read.
 fn unsupported(reader: &Reader, name: &str) -> SceneError {
     let cure = match name {
-        "KHR_texture_basisu" => "`gltf-transform ktxdecompress in.glb out.glb` turns its textures into PNG",
+        BASISU => BASISU_CURE,
         _ => "export it without this extension",
     };
     SceneError::Extension { path: reader.document.path.clone(), extension: name.into(), cure: cure.into() }

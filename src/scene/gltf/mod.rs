@@ -1,6 +1,7 @@
 //! glTF input: the only place that sees the crate gltf.
 //!
-//! In: a `.glb` or `.gltf` file. Out: a [`Scene`], and the file as read ([`Document`]) for writing it back.
+//! In: a `.glb` or `.gltf` file. Out: a [`Scene`], and the file as read ([`Document`]) for writing it back. Geometry
+//! that extensions pack is unpacked in between, so that neither is told of it.
 //! The crate gives the types of single JSON objects; its validation and its accessor readers panic on some
 //! damaged files, so references, bounds and extensions are checked here, object by object and only for what
 //! the scene uses.

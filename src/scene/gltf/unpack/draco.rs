@@ -71,9 +71,10 @@ fn free_streams(json: &mut Value, mut filled: Filled) {
         // There is a new view for each stream at least.
         let Some(owner) = filled.owners.pop() else { return };
         let last = json.get_mut("bufferViews").and_then(Value::as_array_mut).and_then(Vec::pop);
-        if let Some(last) = last {
+        let accessor = json.pointer_mut(&format!("/accessors/{owner}/bufferView"));
+        if let (Some(last), Some(accessor)) = (last, accessor) {
+            *accessor = view.into();
             json["bufferViews"][view as usize] = last;
-            json["accessors"][owner]["bufferView"] = view.into();
         }
     }
 }
@@ -129,12 +130,14 @@ fn unpack_primitive(
             (Some(&known), _) => known,
             (None, None) => continue,
             (None, Some(mesh)) => {
-                let object = match index {
-                    Some(i) => packed.document.json.get("accessors").and_then(|a| a.get(i)).cloned(),
-                    None => Some(json!({ "componentType": 5125, "type": "SCALAR" })),
+                let mut object = match index {
+                    Some(i) => {
+                        let object = packed.document.json.get("accessors").and_then(|a| a.get(i));
+                        let object = object.filter(|o| o.is_object()).cloned();
+                        object.ok_or_else(|| format!("it refers to accessors[{i}], which is not there"))?
+                    }
+                    None => json!({ "componentType": 5125, "type": "SCALAR" }),
                 };
-                let mut object =
-                    object.ok_or_else(|| format!("it refers to accessors[{index:?}], which is not there"))?;
                 let data = match source.1 {
                     None => indices(mesh, &mut object)?,
                     Some(id) => attribute(mesh, id, &mut object, name.as_deref() == Some("POSITION"))
