@@ -49,7 +49,7 @@ pub(super) fn unpack(packed: &mut Packed) -> Result<(), String> {
             let primitive = &mut packed.document.json["meshes"][mesh]["primitives"][i];
             let Some(extension) = take_extension(primitive, NAME) else { continue };
             let mut primitive = std::mem::take(primitive);
-            if required || !has_data(&packed.document.json, &primitive) {
+            if required || !has_data(&packed.document.json, &primitive, &filled.taken) {
                 let label = format!("meshes[{mesh}] primitive {i}");
                 unpack_primitive(packed, &mut filled, &mut primitive, &extension, &label)
                     .map_err(|what| format!("{label}: {what}"))?;
@@ -93,12 +93,15 @@ fn remove_referenced(value: &Value, views: &mut BTreeSet<u64>) {
     }
 }
 
-/// True where everything a primitive is drawn with has data in the document.
-fn has_data(json: &Value, primitive: &Value) -> bool {
+/// True where everything a primitive is drawn with has data in the document that did not come out of a stream.
+fn has_data(json: &Value, primitive: &Value, taken: &BTreeSet<usize>) -> bool {
     let attributes = primitive.get("attributes").and_then(Value::as_object);
     let mut accessors = attributes.into_iter().flat_map(|a| a.values()).chain(primitive.get("indices"));
-    let has_view = |i: &Value| Some(json.get("accessors")?.get(i.as_u64()? as usize)?.get("bufferView").is_some());
-    accessors.all(|i| has_view(i) == Some(true))
+    let has_own = |i: &Value| {
+        let i = usize::try_from(i.as_u64()?).ok()?;
+        json.get("accessors")?.get(i)?.get("bufferView").filter(|_| !taken.contains(&i))
+    };
+    accessors.all(|i| has_own(i).is_some())
 }
 
 fn unpack_primitive(
