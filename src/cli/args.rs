@@ -27,6 +27,9 @@ pub enum Command {
     Inspect {
         /// A .glb or .gltf file.
         scene: PathBuf,
+        /// The variant of the file's materials to look at (KHR_materials_variants).
+        #[arg(long, value_name = "NAME")]
+        variant: Option<String>,
         /// As JSON.
         #[arg(long)]
         json: bool,
@@ -54,6 +57,9 @@ pub struct BakeArgs {
     /// Folder for the results; made if absent.
     #[arg(short, long)]
     pub out: PathBuf,
+    /// The variant of the file's materials to bake (KHR_materials_variants) [default: the file's own materials].
+    #[arg(long, value_name = "NAME")]
+    pub variant: Option<String>,
 
     /// Bake until the upper 95 % limit of the texel error is under this [% of the mean].
     #[arg(long, default_value_t = 2.0, help_heading = "Targets and limits")]

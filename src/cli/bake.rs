@@ -8,6 +8,7 @@ use evenlight::output::manifest::{Manifest, ManifestInputs};
 use evenlight::output::words::{audit, seconds};
 use evenlight::output::{Staging, preview, report_html, write_atomically};
 use evenlight::report::Report;
+use evenlight::scene::gltf::LoadOptions;
 use evenlight::scene::{Camera, Projection, Scene};
 use evenlight::{Bake, BakeError, BakeOptions, bake};
 use std::path::{Path, PathBuf};
@@ -22,7 +23,7 @@ const MOST_VIEWS: usize = 4;
 pub fn run(args: &BakeArgs) -> Result<u8, BakeError> {
     let options = args.options()?;
     let layers = args.layers()?;
-    let scene = Scene::from_gltf(&args.scene[0])?;
+    let scene = Scene::from_gltf_with(&args.scene[0], &LoadOptions { variant: args.variant.clone() })?;
     // Made before the work, so that a folder which cannot be written is known now. Nothing appears in it
     // until all files are complete.
     let mut staging = Staging::new(&args.out)?;
@@ -42,7 +43,7 @@ pub fn run(args: &BakeArgs) -> Result<u8, BakeError> {
         texel_error_percent: Some(bake.report.texel_error_percent),
     };
     write_maps(&mut staging, &bake, &exr)?;
-    write_scene(&mut staging, &scene, &mut bake, &options, args.removes_baked_lights())?;
+    write_scene(&mut staging, &scene, &mut bake, &options, args)?;
     if !args.no_preview {
         write_previews(&mut staging, &scene, &bake)?;
     }
@@ -100,9 +101,9 @@ fn write_scene(
     scene: &Scene,
     bake: &mut Bake,
     options: &BakeOptions,
-    remove_baked_lights: bool,
+    args: &BakeArgs,
 ) -> Result<(), BakeError> {
-    let lights = if remove_baked_lights { glb::fully_baked_lights(scene, options.lights) } else { Vec::new() };
+    let lights = if args.removes_baked_lights() { glb::fully_baked_lights(scene, options.lights) } else { Vec::new() };
     let glb = GlbOptions { remove_baked_lights: lights };
     let info = glb::write(&staging.file("scene.glb")?, &scene.source, scene, &bake.atlas, &glb)?;
     bake.report.warnings.extend(info.warnings);
@@ -112,6 +113,7 @@ fn write_scene(
     let inputs = ManifestInputs {
         scene_file: Some("scene.glb".into()),
         page_files: (0..bake.atlas.pages.len()).map(page_file).collect(),
+        variant: args.variant.clone(),
         error_percent,
     };
     Manifest::new(scene, &bake.atlas, &bake.lightmap, options.quantity, &bake.lighting, options.lights, &inputs)

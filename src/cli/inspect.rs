@@ -33,6 +33,8 @@ pub struct Inspection {
     pub sky: Option<String>,
     /// Names of the cameras.
     pub cameras: Vec<String>,
+    /// Variants of the materials that a bake can choose from.
+    pub variants: Vec<String>,
     /// Images that materials use.
     pub textures: Vec<TextureEntry>,
     /// What the loader found odd, and what a bake of this scene would trip over.
@@ -145,6 +147,7 @@ pub fn inspect(scene: &Scene) -> Inspection {
         emitters: emitters(scene, &material_areas),
         sky: scene.sky.as_ref().map(describe_sky),
         cameras: scene.cameras.iter().map(|c| c.name.clone()).collect(),
+        variants: scene.source.variants(),
         textures: scene
             .textures
             .iter()
@@ -267,6 +270,9 @@ impl Inspection {
         }
         if !self.cameras.is_empty() {
             writeln!(out, "  cameras     {}", self.cameras.join(", "))?;
+        }
+        if !self.variants.is_empty() {
+            writeln!(out, "  variants    {}", self.variants.join(", "))?;
         }
 
         let lights = self.lights.iter().map(|l| {

@@ -10,6 +10,7 @@ pub mod inspect;
 mod terminal;
 
 use clap::Parser;
+use evenlight::scene::gltf::LoadOptions;
 use evenlight::{BakeError, Scene};
 use std::io::Write;
 use std::process::ExitCode;
@@ -23,7 +24,7 @@ pub fn run() -> ExitCode {
     evenlight::atlas::silence_unwrapper_panics();
     let result = match command {
         args::Command::Bake(args) => bake::run(&args),
-        args::Command::Inspect { scene, json } => inspect_scene(&scene, json),
+        args::Command::Inspect { scene, variant, json } => inspect_scene(&scene, variant, json),
         args::Command::UnwrapWorker => return ExitCode::from(evenlight::atlas::worker_main() as u8),
         args::Command::Check { .. } => not_built("check"),
         args::Command::Plan { .. } => not_built("plan"),
@@ -44,8 +45,8 @@ fn not_built(what: &str) -> Result<u8, BakeError> {
     Err(BakeError::Options(format!("`{what}` is not built yet in evenlight {}", env!("CARGO_PKG_VERSION"))))
 }
 
-fn inspect_scene(path: &std::path::Path, json: bool) -> Result<u8, BakeError> {
-    let scene = Scene::from_gltf(path)?;
+fn inspect_scene(path: &std::path::Path, variant: Option<String>, json: bool) -> Result<u8, BakeError> {
+    let scene = Scene::from_gltf_with(path, &LoadOptions { variant })?;
     let inspection = inspect::inspect(&scene);
     let text =
         if json { serde_json::to_string_pretty(&inspection).unwrap_or_default() + "\n" } else { inspection.text() };

@@ -28,6 +28,8 @@ pub struct Manifest {
     pub generator: String,
     /// File of the scene with its lightmap UVs, relative to the manifest; `None` if it was not written.
     pub scene: Option<String>,
+    /// The variant of the file's materials (KHR_materials_variants) that was baked; `None`: those of the file itself.
+    pub variant: Option<String>,
     /// `irradiance-over-pi` or `irradiance`.
     pub quantity: String,
     /// Unit of the texels: `cd/m2` or `lux`.
@@ -125,6 +127,8 @@ pub struct ManifestInputs {
     pub scene_file: Option<String>,
     /// File of each page, relative to the manifest.
     pub page_files: Vec<String>,
+    /// The variant of the materials that was baked.
+    pub variant: Option<String>,
     /// Measured error per scene instance (percent); may be shorter than the instances.
     pub error_percent: Vec<Option<f64>>,
 }
@@ -146,6 +150,7 @@ impl Manifest {
             format_version: FORMAT_VERSION,
             generator: concat!("evenlight ", env!("CARGO_PKG_VERSION")).into(),
             scene: inputs.scene_file.clone(),
+            variant: inputs.variant.clone(),
             quantity: if over_pi { "irradiance-over-pi" } else { "irradiance" }.into(),
             unit: unit_of(quantity).into(),
             divided_by_pi: over_pi,

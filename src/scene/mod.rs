@@ -50,7 +50,7 @@ pub struct Scene {
     pub sky: Option<Sky>,
     /// What is odd but usable in the source.
     pub warnings: Vec<Warning>,
-    /// The document as read, for writing it back with lightmap UVs.
+    /// The document as read and unpacked, for writing it back with lightmap UVs.
     pub source: gltf::Document,
 }
 
@@ -60,7 +60,15 @@ impl Scene {
     /// # Errors
     /// [`SceneError`] names the file, the object and the cure.
     pub fn from_gltf(path: impl AsRef<Path>) -> Result<Scene, SceneError> {
-        gltf::load(path.as_ref())
+        Scene::from_gltf_with(path, &gltf::LoadOptions::default())
+    }
+
+    /// The same with a choice of what of the file is loaded.
+    ///
+    /// # Errors
+    /// [`SceneError`] names the file, the object and the cure.
+    pub fn from_gltf_with(path: impl AsRef<Path>, options: &gltf::LoadOptions) -> Result<Scene, SceneError> {
+        gltf::load(path.as_ref(), options)
     }
 
     /// Number of triangles over all instances, degenerate ones included.

@@ -21,8 +21,10 @@ use serde_json::{Value, json};
 /// A scene in the making.
 #[derive(Clone)]
 pub struct SceneBuilder {
-    json: Value,
-    bin: Vec<u8>,
+    pub(super) json: Value,
+    pub(super) bin: Vec<u8>,
+    /// A second buffer, without data.
+    pub(super) placeholder: Option<Value>,
 }
 
 impl Default for SceneBuilder {
@@ -40,7 +42,7 @@ impl SceneBuilder {
             "scenes": [{"nodes": []}],
             "nodes": [],
         });
-        SceneBuilder { json, bin: Vec::new() }
+        SceneBuilder { json, bin: Vec::new(), placeholder: None }
     }
 
     /// A diffuse material.
@@ -277,6 +279,7 @@ impl SceneBuilder {
     pub fn glb(mut self) -> Vec<u8> {
         if !self.bin.is_empty() {
             self.json["buffers"] = json!([{"byteLength": self.bin.len()}]);
+            self.placeholder.into_iter().for_each(|p| _ = push_to(&mut self.json["buffers"], p));
         }
         let mut text = self.json.to_string().into_bytes();
         text.resize(text.len().next_multiple_of(4), b' ');
@@ -301,6 +304,7 @@ impl SceneBuilder {
             let data = base64::engine::general_purpose::STANDARD.encode(&self.bin);
             let uri = format!("data:application/octet-stream;base64,{data}");
             self.json["buffers"] = json!([{"byteLength": self.bin.len(), "uri": uri}]);
+            self.placeholder.into_iter().for_each(|p| _ = push_to(&mut self.json["buffers"], p));
         }
         self.json.to_string()
     }

@@ -5,6 +5,7 @@ pub mod agreement;
 pub mod exr_reader;
 pub mod formulas;
 pub mod glb;
+pub mod packed;
 pub mod path_tracer;
 pub mod random;
 pub mod rooms;

@@ -4,15 +4,6 @@
 use crate::scene::gltf::Document;
 use serde_json::{Map, Value};
 
-/// Why an accessor cannot be copied.
-#[derive(Debug, Clone, PartialEq, Eq)]
-pub(super) enum Unreadable {
-    /// Its bytes are compressed by an extension.
-    Compressed,
-    /// It is broken: object and fault.
-    Broken(String),
-}
-
 /// A bounds-checked accessor.
 pub(super) struct Accessor<'a> {
     /// The accessor's JSON.
@@ -29,8 +20,11 @@ pub(super) struct Accessor<'a> {
 
 impl<'a> Accessor<'a> {
     /// Accessor `index` of the document, with every element it promises inside its buffer.
-    pub fn open(document: &'a Document, index: usize) -> Result<Accessor<'a>, Unreadable> {
-        let broken = |what: &str| Unreadable::Broken(format!("accessor {index}: {what}"));
+    ///
+    /// # Errors
+    /// Object and fault.
+    pub fn open(document: &'a Document, index: usize) -> Result<Accessor<'a>, String> {
+        let broken = |what: &str| format!("accessor {index}: {what}");
         let object = document.json["accessors"][index].as_object().ok_or_else(|| broken("does not exist"))?;
         let element = element_size(object).ok_or_else(|| broken("has an unknown type"))?;
         let count = integer(object.get("count")).ok_or_else(|| broken("has no count"))?;
@@ -78,8 +72,8 @@ fn read_sparse<'a>(
     document: &'a Document,
     sparse: &Value,
     element: usize,
-) -> Result<Option<Vec<(usize, &'a [u8])>>, Unreadable> {
-    let part = |name: &str| -> Result<Option<&'a [u8]>, Unreadable> {
+) -> Result<Option<Vec<(usize, &'a [u8])>>, String> {
+    let part = |name: &str| -> Result<Option<&'a [u8]>, String> {
         let Some(view) = integer(sparse[name].get("bufferView")) else { return Ok(None) };
         Ok(view_bytes(document, view)?.0.get(integer(sparse[name].get("byteOffset")).unwrap_or(0)..))
     };
@@ -100,17 +94,14 @@ fn little_endian(bytes: &[u8]) -> usize {
 }
 
 /// Bytes of a bufferView and its stride.
-fn view_bytes(document: &Document, index: usize) -> Result<(&[u8], Option<usize>), Unreadable> {
+fn view_bytes(document: &Document, index: usize) -> Result<(&[u8], Option<usize>), String> {
     let view = &document.json["bufferViews"][index];
     let slice = || {
         let buffer = document.buffers.get(integer(view.get("buffer"))?)?;
         let start = integer(view.get("byteOffset")).unwrap_or(0);
         buffer.get(start..start.checked_add(integer(view.get("byteLength"))?)?)
     };
-    let bytes = slice().ok_or_else(|| match super::container::compressed(view) {
-        Some(_) => Unreadable::Compressed,
-        None => Unreadable::Broken(format!("bufferView {index} is outside its buffer")),
-    })?;
+    let bytes = slice().ok_or_else(|| format!("bufferView {index} is outside its buffer"))?;
     Ok((bytes, integer(view.get("byteStride")).filter(|&s| s > 0)))
 }
 

@@ -86,13 +86,11 @@ fn rebase(json: &mut Value, document: &Document, dead: &[usize]) -> Vec<u8> {
     let mut live: BTreeMap<usize, Vec<[usize; 2]>> = BTreeMap::new();
     let dead: BTreeSet<usize> = dead.iter().copied().collect();
     for (_, view) in items(json, "bufferViews").enumerate().filter(|(i, _)| !dead.contains(i)) {
-        for range in [Some(view), compressed(view)].into_iter().flatten() {
-            let Some(buffer) = integer(range.get("buffer")) else { continue };
-            let Some(bytes) = document.buffers.get(buffer).filter(|b| !b.is_empty()) else { continue };
-            let start = integer(range.get("byteOffset")).unwrap_or(0).min(bytes.len());
-            let length = integer(range.get("byteLength")).unwrap_or(0);
-            live.entry(buffer).or_default().push([start, start.saturating_add(length).min(bytes.len())]);
-        }
+        let Some(buffer) = integer(view.get("buffer")) else { continue };
+        let Some(bytes) = document.buffers.get(buffer).filter(|b| !b.is_empty()) else { continue };
+        let start = integer(view.get("byteOffset")).unwrap_or(0).min(bytes.len());
+        let length = integer(view.get("byteLength")).unwrap_or(0);
+        live.entry(buffer).or_default().push([start, start.saturating_add(length).min(bytes.len())]);
     }
     let mut bin = Vec::new();
     // Start in the old buffer, start in the new one; ascending.
@@ -106,25 +104,9 @@ fn rebase(json: &mut Value, document: &Document, dead: &[usize]) -> Vec<u8> {
             bin.extend_from_slice(&document.buffers[buffer][start..end]);
         }
     }
-    let placeholders = join_buffers(json, &moved);
-    for view in items_mut(json, "bufferViews") {
-        move_range(view, &moved, &placeholders);
-        for name in MESHOPT {
-            if let Some(range) = view.get_mut("extensions").and_then(|e| e.get_mut(name)) {
-                move_range(range, &moved, &placeholders);
-            }
-        }
-    }
+    join_buffers(json);
+    items_mut(json, "bufferViews").for_each(|view| move_range(view, &moved));
     bin
-}
-
-/// The extension under its two names.
-const MESHOPT: [&str; 2] = ["EXT_meshopt_compression", "KHR_meshopt_compression"];
-
-/// The compressed bytes of a view, which lie in a range of their own.
-pub(super) fn compressed(view: &Value) -> Option<&Value> {
-    let extensions = view.get("extensions")?;
-    MESHOPT.iter().find_map(|name| extensions.get(name))
 }
 
 /// Overlapping and touching ranges made one; ascending.
@@ -140,33 +122,18 @@ fn union(ranges: &mut [[usize; 2]]) -> Vec<[usize; 2]> {
     union
 }
 
-/// Leaves one buffer for the BIN chunk, and behind it those that have no data in any file (the placeholders
-/// for decompressed data that EXT_meshopt_compression defines). Returns the new index of the latter.
-fn join_buffers(json: &mut Value, moved: &BTreeMap<usize, Vec<[usize; 2]>>) -> BTreeMap<usize, usize> {
-    let old: Vec<Value> = items(json, "buffers").cloned().collect();
-    let mut first = old.first().and_then(Value::as_object).cloned().unwrap_or_default();
+/// Leaves one buffer, for the BIN chunk.
+fn join_buffers(json: &mut Value) {
+    let mut first = items(json, "buffers").next().and_then(Value::as_object).cloned().unwrap_or_default();
     first.shift_remove("uri");
-    let mut buffers = vec![Value::Object(first)];
-    let mut placeholders = BTreeMap::new();
-    for (i, buffer) in old.into_iter().enumerate() {
-        if !moved.contains_key(&i) && compressed(&buffer).is_some() {
-            placeholders.insert(i, buffers.len());
-            buffers.push(buffer);
-        }
-    }
     if let Some(json) = json.as_object_mut() {
-        json.insert("buffers".into(), buffers.into());
+        json.insert("buffers".into(), json!([first]));
     }
-    placeholders
 }
 
-/// Lets a range in an old buffer point to where its bytes are now.
-fn move_range(range: &mut Value, moved: &BTreeMap<usize, Vec<[usize; 2]>>, placeholders: &BTreeMap<usize, usize>) {
+/// Lets a view of an old buffer point to where its bytes are now.
+fn move_range(range: &mut Value, moved: &BTreeMap<usize, Vec<[usize; 2]>>) {
     let Some(buffer) = integer(range.get("buffer")) else { return };
-    if let Some(&buffer) = placeholders.get(&buffer) {
-        range["buffer"] = buffer.into();
-        return;
-    }
     let start = integer(range.get("byteOffset")).unwrap_or(0);
     let ranges = moved.get(&buffer).map_or(&[][..], Vec::as_slice);
     let before = ranges.partition_point(|r| r[0] <= start);

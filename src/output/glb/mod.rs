@@ -1,7 +1,7 @@
 //! The scene with its lightmap UVs as one GLB file.
 //!
-//! In: the document as it was read, the scene and its atlas. Out: the same document with TEXCOORD_1 on every
-//! baked primitive, everything else untouched: the JSON is patched, not rebuilt, so that properties and
+//! In: the document as it was read and unpacked, the scene and its atlas. Out: the same document with TEXCOORD_1
+//! on every baked primitive, everything else untouched: the JSON is patched, not rebuilt, so that properties and
 //! extensions that nobody here knows survive. Vertices are copied as raw bytes.
 
 mod accessor;
@@ -138,7 +138,7 @@ fn patch_primitives(
         };
         for (loaded, layout) in mesh.primitives.iter().zip(&layout.primitives) {
             let moved_set = moves.sets.get(&(mesh.source, loaded.source)).copied();
-            let patch = Patch { document, loaded, layout, moved_set, first_new };
+            let patch = Patch { document, layout, moved_set, first_new };
             let name = || format!("mesh {} ({:?}), primitive {}", mesh.source, mesh.name, loaded.source);
             let primitive = items_mut(json, "meshes")
                 .nth(mesh.source)
@@ -232,9 +232,6 @@ fn used_accessors(json: &Value) -> BTreeSet<usize> {
         used.extend([&sampler["input"], &sampler["output"]]);
     }
     used.extend(items(json, "skins").map(|skin| &skin["inverseBindMatrices"]));
-    for node in items(json, "nodes") {
-        used.extend(values(&node["extensions"]["EXT_mesh_gpu_instancing"]["attributes"]));
-    }
     used.into_iter().filter_map(|index| integer(Some(index))).collect()
 }
 

@@ -5,9 +5,9 @@ use crate::atlas::Atlas;
 use crate::error::Warning;
 use crate::options::Lights;
 use crate::output::NodeRect;
+use crate::scene::gltf::{drop_extension, take_extension};
 use crate::scene::{BakeMode, Scene};
-use serde_json::{Map, Value, json};
-use std::collections::BTreeMap;
+use serde_json::{Value, json};
 
 const LIGHTS: &str = "KHR_lights_punctual";
 
@@ -21,19 +21,10 @@ pub fn fully_baked_lights(scene: &Scene, lights: Lights) -> Vec<usize> {
     nodes
 }
 
-/// Merges `evenlight: { lightmap, rect }` into the extras of baked nodes. A node that draws several instances
-/// (EXT_mesh_gpu_instancing) gets a list `instances` of them in the order of the scene.
+/// Merges `evenlight: { lightmap, rect }` into the extras of baked nodes.
 pub(super) fn add_rects(json: &mut Value, scene: &Scene, rects: &[Option<NodeRect>], warnings: &mut Vec<Warning>) {
-    let mut by_node: BTreeMap<usize, Vec<Map<String, Value>>> = BTreeMap::new();
     for (instance, rect) in scene.instances.iter().zip(rects) {
-        if let Some(rect) = rect {
-            let mut place = Map::new();
-            place.insert("lightmap".into(), rect.page.into());
-            place.insert("rect".into(), json!(rect.rect));
-            by_node.entry(instance.node).or_default().push(place);
-        }
-    }
-    for (node, mut places) in by_node {
+        let (node, Some(rect)) = (instance.node, rect) else { continue };
         let Some(node_json) = items_mut(json, "nodes").nth(node).and_then(Value::as_object_mut) else { continue };
         let extras = node_json.entry("extras").or_insert_with(|| json!({}));
         let Some(extras) = extras.as_object_mut() else {
@@ -45,12 +36,9 @@ pub(super) fn add_rects(json: &mut Value, scene: &Scene, rects: &[Option<NodeRec
         if !own.is_object() {
             *own = json!({});
         }
-        let place = match places.len() {
-            1 => places.remove(0),
-            _ => Map::from_iter([("instances".to_owned(), json!(places))]),
-        };
         if let Some(own) = own.as_object_mut() {
-            own.extend(place);
+            own.insert("lightmap".into(), rect.page.into());
+            own.insert("rect".into(), json!(rect.rect));
         }
     }
 }
@@ -59,36 +47,13 @@ pub(super) fn add_rects(json: &mut Value, scene: &Scene, rects: &[Option<NodeRec
 pub(super) fn remove_lights(json: &mut Value, nodes: &[usize]) -> usize {
     let mut removed = 0;
     for &node in nodes {
-        let Some(node) = items_mut(json, "nodes").nth(node).and_then(Value::as_object_mut) else { continue };
-        let Some(extensions) = node.get_mut("extensions").and_then(Value::as_object_mut) else { continue };
-        removed += usize::from(extensions.shift_remove(LIGHTS).is_some());
-        if extensions.is_empty() {
-            node.shift_remove("extensions");
-        }
+        let Some(node) = items_mut(json, "nodes").nth(node) else { continue };
+        removed += usize::from(take_extension(node, LIGHTS).is_some());
     }
     if removed > 0 && !items(json, "nodes").any(|node| node["extensions"].get(LIGHTS).is_some()) {
         drop_extension(json, LIGHTS);
     }
     removed
-}
-
-/// Removes an extension that nothing uses any more from the root of the document.
-pub(super) fn drop_extension(json: &mut Value, name: &str) {
-    let Some(root) = json.as_object_mut() else { return };
-    if let Some(extensions) = root.get_mut("extensions").and_then(Value::as_object_mut) {
-        extensions.shift_remove(name);
-        if extensions.is_empty() {
-            root.shift_remove("extensions");
-        }
-    }
-    for list in ["extensionsUsed", "extensionsRequired"] {
-        if let Some(names) = root.get_mut(list).and_then(Value::as_array_mut) {
-            names.retain(|n| n != name);
-            if names.is_empty() {
-                root.shift_remove(list);
-            }
-        }
-    }
 }
 
 /// True where the atlas speaks of the scene at hand.

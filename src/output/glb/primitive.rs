@@ -1,12 +1,11 @@
 //! One primitive with lightmap UVs: as it was plus TEXCOORD_1, or with vertices split where charts need it.
 
-use super::accessor::{Accessor, Unreadable, bounds, integer};
+use super::accessor::{Accessor, bounds, integer};
 use super::container::Blob;
 use super::items_mut;
 use crate::atlas::PrimitiveLayout;
-use crate::scene::Primitive;
 use crate::scene::gltf::Document;
-use glam::{Vec2, Vec3, Vec4};
+use glam::Vec2;
 use serde_json::{Map, Value, json};
 use std::collections::BTreeMap;
 
@@ -22,8 +21,6 @@ const ELEMENT_ARRAY_BUFFER: u32 = 34963;
 /// What is known of the primitive at hand.
 pub(super) struct Patch<'a> {
     pub document: &'a Document,
-    /// The primitive as loaded.
-    pub loaded: &'a Primitive,
     pub layout: &'a PrimitiveLayout,
     /// Where its TEXCOORD_1 has to go, if materials read it.
     pub moved_set: Option<usize>,
@@ -64,7 +61,7 @@ impl Patch<'_> {
         let mut used: Vec<u32> = layout.triangles.iter().flatten().copied().collect();
         used.sort_unstable();
         used.dedup();
-        let vertices = if is_draco(primitive) || new_count > count || 2 * used.len() < count {
+        let vertices = if new_count > count || 2 * used.len() < count {
             patched.rewritten = true;
             patched.split_vertices = new_count.saturating_sub(count);
             self.rewrite(primitive, &used, added, &mut patched.lost)?;
@@ -112,7 +109,6 @@ impl Patch<'_> {
         added: &mut Vec<NewAccessor>,
         lost: &mut Vec<String>,
     ) -> Result<(), String> {
-        let draco = is_draco(primitive);
         let sources: Vec<u32> = kept.iter().map(|&v| self.layout.source_vertices[v as usize]).collect();
         let mut copies: BTreeMap<usize, usize> = BTreeMap::new();
         let mut copy_all = |attributes: &mut Value, is_target: bool| -> Result<(), String> {
@@ -123,16 +119,8 @@ impl Patch<'_> {
                     attributes.insert(name, copy.into());
                     continue;
                 }
-                let copy = match self.copy(old, &name, &sources, draco) {
-                    Ok(copy) => Ok(copy),
-                    Err(Unreadable::Broken(what)) => Err(what),
-                    Err(Unreadable::Compressed) => {
-                        let decoded = if is_target { None } else { self.decoded(&name, &sources) };
-                        decoded.ok_or_else(|| "it is compressed".to_owned())
-                    }
-                };
                 // What the bake did not need must not keep it from being written.
-                let copy = match copy {
+                let copy = match self.copy(old, &name, &sources) {
                     Ok(copy) => copy,
                     Err(what) if name == "POSITION" && !is_target => return Err(what),
                     Err(what) => {
@@ -156,12 +144,6 @@ impl Patch<'_> {
         if primitive.contains_key("mode") {
             primitive.insert("mode".into(), 4.into());
         }
-        if let Some(extensions) = primitive.get_mut("extensions").and_then(Value::as_object_mut) {
-            extensions.shift_remove("KHR_draco_mesh_compression");
-            if extensions.is_empty() {
-                primitive.shift_remove("extensions");
-            }
-        }
         added.push(self.indices(kept));
         Ok(())
     }
@@ -184,17 +166,13 @@ impl Patch<'_> {
     }
 
     /// The elements `sources` of accessor `index`, byte by byte.
-    fn copy(&self, index: usize, name: &str, sources: &[u32], draco: bool) -> Result<NewAccessor, Unreadable> {
-        if draco && self.document.json["accessors"][index].get("bufferView").is_none() {
-            return Err(Unreadable::Compressed);
-        }
+    fn copy(&self, index: usize, name: &str, sources: &[u32]) -> Result<NewAccessor, String> {
         let accessor = Accessor::open(self.document, index)?;
         let stride = accessor.element.next_multiple_of(4);
         let mut data = Vec::with_capacity(sources.len() * stride);
         for &v in sources {
             if !accessor.copy_element(v as usize, &mut data) {
-                let what = format!("accessor {index} has {} elements, vertex {v} is used", accessor.count);
-                return Err(Unreadable::Broken(what));
+                return Err(format!("accessor {index} has {} elements, vertex {v} is used", accessor.count));
             }
             data.resize(data.len().next_multiple_of(4), 0);
         }
@@ -214,31 +192,6 @@ impl Patch<'_> {
         let padded = Some(stride).filter(|&s| s != accessor.element);
         Ok(NewAccessor { object, blob: Blob { data, stride: padded, target: Some(ARRAY_BUFFER) } })
     }
-
-    /// A compressed attribute, written as the loader decoded it; `None` for those that it does not keep.
-    fn decoded(&self, name: &str, sources: &[u32]) -> Option<NewAccessor> {
-        fn gather<T: Copy + bytemuck::Pod>(values: &[T], sources: &[u32]) -> Option<Vec<u8>> {
-            let values: Option<Vec<T>> = sources.iter().map(|&v| values.get(v as usize).copied()).collect();
-            values.map(|v| bytemuck::cast_slice(&v).to_vec())
-        }
-        let n = sources.len();
-        let accessor = match name {
-            "POSITION" => floats("VEC3", 3, n, &gather::<Vec3>(&self.loaded.positions, sources)?),
-            "NORMAL" => floats("VEC3", 3, n, &gather::<Vec3>(&self.loaded.normals, sources)?),
-            "COLOR_0" => floats("VEC4", 4, n, &gather::<Vec4>(&self.loaded.colors, sources)?),
-            _ => {
-                // A set that had to move is still loaded under its old number.
-                let set = name.strip_prefix("TEXCOORD_")?.parse().ok()?;
-                let set: usize = if Some(set) == self.moved_set { 1 } else { set };
-                floats("VEC2", 2, n, &gather::<Vec2>(self.loaded.tex_coords.get(set)?, sources)?)
-            }
-        };
-        Some(accessor)
-    }
-}
-
-fn is_draco(primitive: &Value) -> bool {
-    primitive.get("extensions").is_some_and(|e| e.get("KHR_draco_mesh_compression").is_some())
 }
 
 /// A float accessor with bounds where it holds positions or normals.

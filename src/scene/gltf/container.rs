@@ -5,6 +5,7 @@
 
 use super::Document;
 use super::reader::REPAIR;
+use super::unpack::meshopt;
 use crate::error::{SceneError, Warning};
 use base64::Engine;
 use base64::engine::DecodePaddingMode;
@@ -128,8 +129,14 @@ fn read_buffers(
         Some(_) => return Err(invalid(path, format!("its `buffers` is not an array; {REPAIR}"))),
     };
     let mut buffers = Vec::with_capacity(all.len());
+    let placeholders = meshopt::placeholders(json);
     for (i, buffer) in all.iter().enumerate() {
         let label = format!("buffers[{i}]");
+        // An exporter may place it first, where the binary chunk would be taken for its data.
+        if placeholders[i] {
+            buffers.push(Vec::new());
+            continue;
+        }
         let Some(length) = buffer.get("byteLength").and_then(Value::as_u64) else {
             return Err(invalid(path, format!("{label} has no byteLength; {REPAIR}")));
         };

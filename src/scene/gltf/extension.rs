@@ -1,8 +1,15 @@
 //! Which extensions are understood, which do not matter to light, and how to get rid of the others.
 
 use super::reader::{REPAIR, Reader};
+use super::unpack;
 use crate::error::SceneError;
 use serde_json::Value;
+
+/// Textures in KTX2, which are not read.
+pub(super) const BASISU: &str = "KHR_texture_basisu";
+
+/// How to have them read all the same.
+pub(super) const BASISU_CURE: &str = "`gltf-transform ktxdecompress in.glb out.glb` turns textures in KTX2 into PNG";
 
 /// Read by this loader.
 const SUPPORTED: &[&str] = &[
@@ -13,8 +20,10 @@ const SUPPORTED: &[&str] = &[
     "KHR_materials_pbrSpecularGlossiness",
     "KHR_materials_transmission",
     "KHR_materials_unlit",
+    "KHR_materials_variants",
     "KHR_materials_volume",
     "KHR_mesh_quantization",
+    "KHR_node_visibility",
     "KHR_texture_transform",
 ];
 
@@ -28,14 +37,13 @@ const HARMLESS: &[&str] = &[
     "KHR_materials_iridescence",
     "KHR_materials_sheen",
     "KHR_materials_specular",
-    "KHR_materials_variants",
     "KHR_xmp_json_ld",
 ];
 
 /// Refuses a file that requires what is not supported; warns of optional extensions that are ignored.
 pub(super) fn check(reader: &mut Reader) -> Result<(), SceneError> {
     let required = names(reader, "extensionsRequired")?;
-    let known = |name: &str| SUPPORTED.contains(&name) || HARMLESS.contains(&name);
+    let known = |name: &str| [SUPPORTED, unpack::SUPPORTED, HARMLESS].iter().any(|list| list.contains(&name));
     if let Some(name) = required.iter().find(|n| !known(n)) {
         return Err(unsupported(reader, name));
     }
@@ -48,16 +56,9 @@ pub(super) fn check(reader: &mut Reader) -> Result<(), SceneError> {
 }
 
 /// The error for an extension without which the file cannot be read.
-pub(super) fn unsupported(reader: &Reader, name: &str) -> SceneError {
+fn unsupported(reader: &Reader, name: &str) -> SceneError {
     let cure = match name {
-        "KHR_draco_mesh_compression" => {
-            "`gltf-transform copy in.glb out.glb` writes the same scene without the compression"
-        }
-        "EXT_meshopt_compression" | "KHR_meshopt_compression" => {
-            "`gltfpack -i in.glb -o out.glb -noq` writes the same scene without the compression"
-        }
-        "KHR_texture_basisu" => "`gltf-transform ktxdecompress in.glb out.glb` turns its textures into PNG",
-        "EXT_mesh_gpu_instancing" => "export it with one node per instance",
+        BASISU => BASISU_CURE,
         _ => "export it without this extension",
     };
     SceneError::Extension { path: reader.document.path.clone(), extension: name.into(), cure: cure.into() }

@@ -1,6 +1,7 @@
 //! Materials and the textures they use. A material or image that nothing uses is not looked at.
 
 use super::container;
+use super::extension;
 use super::primitive::has_tex_coord;
 use super::reader::Reader;
 use crate::error::SceneError;
@@ -192,8 +193,10 @@ impl Textures {
         let image = webp.map_or(raw.source.value(), |i| i as usize);
         // What the crate gives for a texture without a source.
         if image == u32::MAX as usize {
-            reader
-                .warn("image-not-found", format!("{texture} has no image that can be read; {label} is baked without"));
+            let packed = raw.extensions.as_ref().is_some_and(|e| e.others.contains_key(extension::BASISU));
+            let why = if packed { extension::BASISU_CURE } else { "give it a PNG, JPEG or WebP" };
+            let message = format!("{texture} has no image that can be read; {label} is baked without; {why}");
+            reader.warn("image-not-found", message);
             return Ok(None);
         }
         let encoded = match self.images.entry(image) {

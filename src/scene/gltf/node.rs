@@ -36,9 +36,10 @@ pub(super) fn walk(reader: &mut Reader) -> Result<Tree, SceneError> {
     };
     // Of each node visited, the one it was reached from (itself for a root).
     let mut parents: Vec<Option<usize>> = vec![None; reader.list("nodes")?.len()];
-    let mut pending: Vec<(usize, usize, DAffine3)> =
-        roots.iter().rev().map(|&root| (root, root, DAffine3::IDENTITY)).collect();
-    while let Some((index, parent, world_from_parent)) = pending.pop() {
+    let mut hidden = 0;
+    let mut pending: Vec<(usize, usize, DAffine3, bool)> =
+        roots.iter().rev().map(|&root| (root, root, DAffine3::IDENTITY, true)).collect();
+    while let Some((index, parent, world_from_parent, visible)) = pending.pop() {
         let by = if index == parent { "the scene".to_owned() } else { reader.label("nodes", parent) };
         let node: json::Node = reader.object("nodes", index, &by)?;
         if parents[index].is_some() {
@@ -46,11 +47,38 @@ pub(super) fn walk(reader: &mut Reader) -> Result<Tree, SceneError> {
         }
         parents[index] = Some(parent);
         let world_from_node = world_from_parent * local_transform(reader, index, &node);
-        read_node(reader, &mut tree, index, &node, world_from_node)?;
+        let visible = visible && is_visible(&node);
+        if visible {
+            read_node(reader, &mut tree, index, &node, world_from_node)?;
+        } else if node.mesh.is_some() || light_of(&node).is_some() {
+            hidden += 1;
+        }
+        // Seen or not, a node can be looked from.
+        if let Some(camera) = &node.camera {
+            tree.cameras.extend(read_camera(reader, camera.value(), index, world_from_node)?);
+        }
         let children = node.children.unwrap_or_default();
-        pending.extend(children.iter().rev().map(|c| (c.value(), index, world_from_node)));
+        pending.extend(children.iter().rev().map(|c| (c.value(), index, world_from_node, visible)));
+    }
+    if hidden > 0 {
+        let message = format!(
+            "{hidden} nodes with meshes or lights are invisible (KHR_node_visibility): they are \
+             neither baked nor block or give light, but stay in the file"
+        );
+        reader.warn("hidden-nodes", message);
     }
     Ok(tree)
+}
+
+/// False where KHR_node_visibility hides a node, and with it all below.
+fn is_visible(node: &json::Node) -> bool {
+    let extension = node.extensions.as_ref().and_then(|e| e.others.get("KHR_node_visibility"));
+    extension.and_then(|e| e.get("visible")) != Some(&Value::Bool(false))
+}
+
+/// Index of the light at a node.
+fn light_of(node: &json::Node) -> Option<usize> {
+    node.extensions.as_ref()?.khr_lights_punctual.as_ref().map(|l| l.light.value())
 }
 
 /// Index of the scene to bake, if the file has any.
@@ -142,20 +170,14 @@ fn read_node(
         if node.skin.is_some() {
             reader.warn("skin", format!("{label} is skinned; it is baked in its bind pose"));
         }
-        if node.extensions.as_ref().is_some_and(|e| e.others.contains_key("EXT_mesh_gpu_instancing")) {
-            reader.warn("gpu-instancing", format!("{label} stands for many instances; only one is baked"));
-        }
         if is_drawable(&world_from_node) {
             tree.instances.push(read_instance(reader, index, mesh.value(), world_from_node, &label));
         } else {
             reader.warn("odd-transform", format!("{label} is scaled to nothing or to infinity; its mesh is left out"));
         }
     }
-    if let Some(reference) = node.extensions.as_ref().and_then(|e| e.khr_lights_punctual.as_ref()) {
-        tree.lights.extend(light::read(reader, reference.light.value(), index, world_from_node)?);
-    }
-    if let Some(camera) = &node.camera {
-        tree.cameras.extend(read_camera(reader, camera.value(), index, world_from_node)?);
+    if let Some(light) = light_of(node) {
+        tree.lights.extend(light::read(reader, light, index, world_from_node)?);
     }
     Ok(())
 }

@@ -1,7 +1,7 @@
 //! Meshes and their primitives: every topology of triangles becomes a list, one triangle of the source each.
 
-use super::extension;
 use super::reader::{REPAIR, Reader};
+use super::variant;
 use crate::error::SceneError;
 use crate::scene::{Mesh, Primitive};
 use glam::{Vec2, Vec3, Vec4};
@@ -48,7 +48,6 @@ fn read_primitive(
         reader.warn("no-positions", format!("{label} has no POSITION and is left out"));
         return Ok(None);
     };
-    refuse_compressed(reader, raw, positions)?;
     let mut positions: Vec<Vec3> =
         reader.vectors::<3>(positions, &[3], 0.0, label)?.into_iter().map(Vec3::from).collect();
     let mut triangles = read_triangles(reader, raw, mode, positions.len(), label)?;
@@ -83,16 +82,8 @@ fn read_primitive(
             uvs.into_iter().map(|uv| Vec2::from(uv.map(|c| if c.is_finite() { c } else { 0.0 }))).collect();
     }
     // Replaced by the default material, which stands behind the file's own, where the file gives none.
-    let material = raw.material.map_or(usize::MAX, |m| m.value());
+    let material = variant::material(reader, raw, label)?.or(raw.material.map(|m| m.value())).unwrap_or(usize::MAX);
     Ok(Some(Primitive { source, positions, normals, tex_coords, colors, triangles, material }))
-}
-
-/// A compressed primitive whose accessors hold nothing to fall back on.
-fn refuse_compressed(reader: &Reader, raw: &json::mesh::Primitive, positions: usize) -> Result<(), SceneError> {
-    const DRACO: &str = "KHR_draco_mesh_compression";
-    let compressed = raw.extensions.as_ref().is_some_and(|e| e.others.contains_key(DRACO));
-    let empty = reader.list("accessors")?.get(positions).is_some_and(|a| a.get("bufferView").is_none());
-    if compressed && empty { Err(extension::unsupported(reader, DRACO)) } else { Ok(()) }
 }
 
 /// Values per vertex; without any, and a warning, where their number is not that of the vertices.

@@ -16,12 +16,14 @@ pub(super) const REPAIR: &str = "export the file again, or find the fault with t
 pub(super) struct Reader<'d> {
     pub(super) document: &'d Document,
     pub(super) warnings: Vec<Warning>,
+    /// Index of the variant whose materials are read; `None`: those that primitives name themselves.
+    pub(super) variant: Option<usize>,
     elements_left: u64,
 }
 
 impl<'d> Reader<'d> {
     pub(super) fn new(document: &'d Document, warnings: Vec<Warning>) -> Reader<'d> {
-        Reader { document, warnings, elements_left: MAX_ELEMENTS }
+        Reader { document, warnings, variant: None, elements_left: MAX_ELEMENTS }
     }
 
     /// An error that names the file.
