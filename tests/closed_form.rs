@@ -6,8 +6,8 @@ mod common;
 
 use common::formulas::{QuadMap, disc_irradiance, point_irradiance, polygon_irradiance};
 use common::rooms::{Builder, plain, run};
-use common::runs::{area_mean, flux, grey, node_mean, one_round, samples, texel_samples};
-use common::statistics::{expect_mean, mean_test, score, score_tests};
+use common::runs::{self, area_mean, flux, grey, node_mean, one_round, samples};
+use common::statistics::{expect_mean, mean_test};
 use evenlight::options::Lights;
 use evenlight::scene::{LightKind, Material, Scene, Sky};
 use evenlight::{Bake, BakeOptions};
@@ -124,26 +124,9 @@ fn floor(b: &mut Builder) {
 
 const PAGE: u32 = 64;
 
-/// Every texel of the first node against the mean over the texel of `e(position, normal)`: the largest score of
-/// all texels, and where the noise of the texels is independent (direct light), their mean and squares too.
+/// Every texel of the first node against the mean over the texel of `e(position, normal)`.
 fn expect_texels(what: &str, scene: &Scene, seeds: u64, e: impl Fn(DVec3, DVec3) -> f64) {
-    let quad = QuadMap::of(scene, 0, PAGE);
-    let places = run(scene, &one_round(PAGE));
-    let found = texel_samples(scene, &one_round(PAGE), 0..seeds);
-    let scores: Vec<f64> = (0..places.texels.mapped)
-        .filter(|&i| places.solution.weights.instance[i] == 0)
-        .map(|i| {
-            let (_, x, y) = places.texels.page_position(i);
-            let expected = quad.texel_mean(x, y, |p| e(p, quad.normal));
-            score(&found[i].iter().map(|&e| grey(e)).collect::<Vec<_>>(), expected)
-        })
-        .collect();
-    // Where the sampling is exact there is no noise to test.
-    if scores.iter().any(|&z| z != 0.0)
-        && let Err(e) = score_tests(&scores)
-    {
-        panic!("{what}: {e}");
-    }
+    runs::expect_texels(what, scene, PAGE, seeds, e);
 }
 
 #[test]

@@ -7,6 +7,7 @@ use evenlight::options::{
     Unwrapper, UvSource,
 };
 use evenlight::output::lightmap_exr::Layer;
+use evenlight::scene::{BakeMode, Changes, LightChange};
 use glam::Vec3;
 use std::path::PathBuf;
 
@@ -54,6 +55,12 @@ pub struct BakeArgs {
     /// Folder for the results; made if absent.
     #[arg(short, long)]
     pub out: PathBuf,
+
+    /// A TOML file that says what these flags would: each by its long name, and tables [light.NAME] with bake, scale and
+    /// ies, [node.NAME] with weight, density, bake, casts and receives. What is said here wins. Paths in it are relative
+    /// to it.
+    #[arg(long, value_name = "FILE")]
+    config: Option<PathBuf>,
 
     /// Bake until the upper 95 % limit of the texel error is under this [% of the mean].
     #[arg(long, default_value_t = 2.0, help_heading = "Targets and limits")]
@@ -111,6 +118,14 @@ pub struct BakeArgs {
     /// Bake all light, or only what punctual lights reflect.
     #[arg(long, default_value = "all", value_parser = ["all", "indirect"], help_heading = "Light")]
     lights: String,
+    /// NAME=full|indirect|off or NAME=SCALE: which part of a light is baked, or a factor on it. By name of a light, of
+    /// its node, or of a material that emits; `*` at the end stands for any end. May be repeated.
+    #[arg(long, value_name = "NAME=WHAT", help_heading = "Light")]
+    light: Vec<String>,
+    /// NAME=FILE: let a point or spot light shine as an IES file says, with the intensity of the file and the hue of the
+    /// light. Names as of --light. May be repeated.
+    #[arg(long, value_name = "NAME=FILE", help_heading = "Light")]
+    ies: Vec<String>,
     /// Leave lights out of scene.glb whose direct light is in the maps.
     #[arg(long, help_heading = "Light")]
     remove_baked_lights: bool,
@@ -224,6 +239,16 @@ impl BakeArgs {
         Ok(options)
     }
 
+    /// Changes to the scene out of flags.
+    ///
+    /// # Errors
+    /// [`BakeError::Options`] names the flag and what it takes.
+    pub fn changes(&self) -> Result<Changes, BakeError> {
+        let lights = self.light.iter().map(|text| light(text));
+        let profiles = self.ies.iter().map(|text| profile(text));
+        Ok(Changes { lights: profiles.chain(lights).collect::<Result<_, _>>()?, nodes: Vec::new() })
+    }
+
     /// Extra layers of the EXR files.
     ///
     /// # Errors
@@ -260,6 +285,36 @@ impl BakeArgs {
         let worker = std::env::current_exe()
             .map_err(|e| BakeError::Options(format!("--unwrapper xatlas: cannot find this program's own file: {e}")))?;
         Ok(Unwrapper::Xatlas { worker })
+    }
+}
+
+/// NAME=full|indirect|off|SCALE.
+fn light(text: &str) -> Result<(String, LightChange), BakeError> {
+    let fail = || {
+        BakeError::Options(format!(
+            "--light {text}: takes NAME=full, NAME=indirect, NAME=off or NAME=SCALE, such as 0.5"
+        ))
+    };
+    let (name, what) = text.rsplit_once('=').filter(|(name, _)| !name.is_empty()).ok_or_else(fail)?;
+    let change = match light_word(what.trim()) {
+        Some(mode) => LightChange { bake: Some(mode), ..LightChange::default() },
+        None => LightChange { scale: Some(what.trim().parse().map_err(|_| fail())?), ..LightChange::default() },
+    };
+    Ok((name.into(), change))
+}
+
+/// Which part of a light is baked.
+pub fn light_word(word: &str) -> Option<BakeMode> {
+    [BakeMode::Full, BakeMode::Indirect, BakeMode::Off].into_iter().find(|mode| mode.word() == word)
+}
+
+/// NAME=FILE.
+fn profile(text: &str) -> Result<(String, LightChange), BakeError> {
+    match text.split_once('=') {
+        Some((name, file)) if !name.is_empty() && !file.is_empty() => {
+            Ok((name.into(), LightChange { ies: Some(file.into()), ..LightChange::default() }))
+        }
+        _ => Err(BakeError::Options(format!("--ies {text}: takes NAME=FILE, such as pendant=downlight.ies"))),
     }
 }
 

@@ -3,7 +3,7 @@
 use crate::error::{BakeError, Warning};
 use crate::options::{BakeOptions, SkySource};
 use crate::scene::{BakeMode, Light, LightKind, Scene, Sky};
-use glam::{DVec3, Vec3};
+use glam::{DVec3, Mat3, Vec3};
 
 /// All light sources besides emissive surfaces.
 #[derive(Debug, Clone)]
@@ -43,8 +43,10 @@ impl Lighting {
                 node: None,
                 position: DVec3::ZERO,
                 direction: (-towards).as_vec3(),
+                axes: Mat3::IDENTITY,
                 intensity: Vec3::splat(sun.illuminance),
                 kind: LightKind::Directional { angular_diameter: sun.diameter.to_radians() },
+                profile: None,
                 bake: BakeMode::Full,
             });
         }

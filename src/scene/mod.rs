@@ -8,17 +8,22 @@
 //!
 //! Nothing here knows of texels, rays or photons.
 
+mod change;
 pub mod gltf;
+mod ies;
 mod light;
 mod material;
 mod mesh;
+mod profile;
 mod sky;
 mod texture;
 mod world;
 
+pub use change::{Changes, LightChange, NodeChange};
 pub use light::{BakeMode, Camera, Light, LightKind, Projection};
 pub use material::{Alpha, Material, TextureRef};
 pub use mesh::{Instance, Mesh, Primitive};
+pub use profile::IesProfile;
 pub use sky::Sky;
 pub(crate) use sky::sky_pixel;
 pub use texture::{ColorSpace, Texture, Wrap};
@@ -48,6 +53,8 @@ pub struct Scene {
     pub sky: Option<Sky>,
     /// What is odd but usable in the source.
     pub warnings: Vec<Warning>,
+    /// What [`Scene::change`] changed, for the report.
+    pub changed: Vec<String>,
     /// The document as read, for writing it back with lightmap UVs.
     pub source: gltf::Document,
 }

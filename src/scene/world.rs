@@ -1,6 +1,6 @@
 //! The scene flattened to world-space triangles, in the frame that everything later computes in.
 
-use super::{Alpha, ColorSpace, Material, Primitive, Scene, TextureRef};
+use super::{Alpha, BakeMode, ColorSpace, Material, Primitive, Scene, TextureRef};
 use glam::{DVec3, Vec2, Vec3, Vec4};
 
 /// The normalised frame: recentred in f64, then scaled by a power of two so that every coordinate lies in
@@ -328,7 +328,7 @@ fn material_flags(material: &Material, primitive: &Primitive) -> SurfaceFlags {
         || material.metallic_texture.is_some()
         || material.emission_texture.is_some()
         || material.transmission_texture.is_some();
-    let emits = !material.unlit && material.emission.max_element() > 0.0;
+    let emits = !material.unlit && material.bake != BakeMode::Off && material.emission.max_element() > 0.0;
     SurfaceFlags::default()
         .with(SurfaceFlags::DOUBLE_SIDED, material.double_sided)
         .with(SurfaceFlags::PASSES_LIGHT, material.passes_light())
@@ -354,7 +354,8 @@ fn resolve(m: &Material, base: Vec4, metallic: f32, transmission: f32, emission:
     }
     let color = base.truncate().clamp(Vec3::ZERO, Vec3::ONE) * (1.0 - metallic.clamp(0.0, 1.0));
     let t = transmission.clamp(0.0, 1.0);
-    SurfacePoint { albedo: color * (1.0 - t), emission: emission.max(Vec3::ZERO), alpha, transmittance: color * t }
+    let emission = if m.bake == BakeMode::Off { Vec3::ZERO } else { emission.max(Vec3::ZERO) };
+    SurfacePoint { albedo: color * (1.0 - t), emission, alpha, transmittance: color * t }
 }
 
 fn frame_of(scene: &Scene) -> Frame {

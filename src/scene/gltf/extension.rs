@@ -6,6 +6,7 @@ use serde_json::Value;
 
 /// Read by this loader.
 const SUPPORTED: &[&str] = &[
+    "EXT_lights_ies",
     "EXT_texture_webp",
     "KHR_lights_punctual",
     "KHR_materials_emissive_strength",

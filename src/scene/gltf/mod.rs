@@ -10,6 +10,7 @@
 mod accessor;
 mod container;
 mod extension;
+mod ies;
 mod light;
 mod material;
 mod node;
@@ -92,6 +93,7 @@ pub fn load_bytes(path: &Path, bytes: &[u8]) -> Result<Scene, SceneError> {
         cameras: tree.cameras,
         sky: tree.sky,
         warnings,
+        changed: Vec::new(),
         source: document,
     })
 }

@@ -1,7 +1,7 @@
 //! The node tree of one scene: world transforms, instances, and what nodes carry besides meshes.
 
-use super::light;
 use super::reader::{REPAIR, Reader};
+use super::{ies, light};
 use crate::error::SceneError;
 use crate::scene::{Camera, Instance, Light, Projection, Sky};
 use glam::{DAffine3, DMat4, DQuat, DVec3, Vec3};
@@ -14,6 +14,7 @@ pub(super) struct Tree {
     /// Their `mesh` is the index in the document.
     pub(super) instances: Vec<Instance>,
     pub(super) lights: Vec<Light>,
+    profiles: ies::Profiles,
     pub(super) cameras: Vec<Camera>,
     pub(super) sky: Option<Sky>,
 }
@@ -151,7 +152,17 @@ fn read_node(
             reader.warn("odd-transform", format!("{label} is scaled to nothing or to infinity; its mesh is left out"));
         }
     }
-    if let Some(reference) = node.extensions.as_ref().and_then(|e| e.khr_lights_punctual.as_ref()) {
+    let extensions = node.extensions.as_ref();
+    let profiled = extensions.and_then(|e| e.others.get("EXT_lights_ies"));
+    let punctual = extensions.and_then(|e| e.khr_lights_punctual.as_ref());
+    if let Some(extension) = profiled {
+        if punctual.is_some() {
+            let which =
+                "two lights, of EXT_lights_ies and of KHR_lights_punctual; the first is taken, as the same better";
+            reader.warn("two-lights", format!("{label} has {which}"));
+        }
+        tree.lights.extend(ies::read(reader, &mut tree.profiles, extension, index, world_from_node)?);
+    } else if let Some(reference) = punctual {
         tree.lights.extend(light::read(reader, reference.light.value(), index, world_from_node)?);
     }
     if let Some(camera) = &node.camera {
