@@ -21,7 +21,7 @@ pub(super) struct TransportGrid {
 
 /// Whether light goes on from a triangle, so that it needs a grid where it has no place on the map.
 pub(super) fn reflects(flags: SurfaceFlags) -> bool {
-    !flags.has(SurfaceFlags::DEGENERATE) && !flags.has(SurfaceFlags::UNLIT)
+    !flags.has(SurfaceFlags::UNSEEN) && !flags.has(SurfaceFlags::UNLIT)
 }
 
 impl TransportGrid {

@@ -108,7 +108,7 @@ pub struct Met {
     pub passed: Vec3,
 }
 
-/// World triangles of all instances. Triangle ids count through the instances in order, each with all its
+/// World triangles of all instances that take part. Triangle ids count through the instances in order, each with all its
 /// primitives' triangles (degenerate ones included).
 #[derive(Debug)]
 pub struct World<'s> {
@@ -166,6 +166,9 @@ impl<'s> World<'s> {
                     * sign;
             let largest = cofactor.to_cols_array().iter().fold(0.0f64, |a, b| a.max(b.abs()));
             world.normal_matrices.push((cofactor / largest.max(f64::MIN_POSITIVE)).as_mat3());
+            if !instance.takes_part() {
+                continue;
+            }
             for (p, primitive) in scene.meshes[instance.mesh].primitives.iter().enumerate() {
                 let material = &scene.materials[primitive.material];
                 let flags = material_flags(material, primitive);
@@ -360,7 +363,7 @@ fn resolve(m: &Material, base: Vec4, metallic: f32, transmission: f32, emission:
 
 fn frame_of(scene: &Scene) -> Frame {
     let (mut lo, mut hi) = (DVec3::INFINITY, DVec3::NEG_INFINITY);
-    for instance in &scene.instances {
+    for instance in scene.instances.iter().filter(|i| i.takes_part()) {
         for primitive in &scene.meshes[instance.mesh].primitives {
             for t in &primitive.triangles {
                 for &v in t {
