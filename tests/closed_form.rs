@@ -8,8 +8,8 @@ use common::formulas::{QuadMap, disc_irradiance, point_irradiance, polygon_irrad
 use common::rooms::{Builder, plain, run};
 use common::runs::{self, area_mean, flux, grey, node_mean, one_round, samples};
 use common::statistics::{expect_mean, mean_test};
-use evenlight::options::Lights;
-use evenlight::scene::{LightKind, Material, Scene, Sky};
+use evenlight::options::{Lights, SkySource, Sun};
+use evenlight::scene::{ClearSky, LightKind, Material, Scene, Sky};
 use evenlight::{Bake, BakeOptions};
 use glam::{DVec3, Vec3, Vec4};
 use std::f64::consts::PI;
@@ -371,4 +371,26 @@ fn expect_near(what: &str, samples: &[f64], expected: f64, systematic: f64, visi
     let nearest = expected + (mean - expected).clamp(-systematic, systematic);
     println!("{what}: {mean} for {expected}");
     expect_mean(what, samples, nearest, visible, tests);
+}
+
+/// Open ground under a clear sky gets what its pixels send, weighed by the cosine.
+#[test]
+fn clear_sky_on_the_ground() {
+    let mut b = Builder::new(PAGE);
+    floor(&mut b);
+    let scene = b.finish();
+    let sun = Sun { elevation: 35.0, azimuth: 110.0, illuminance: 0.0, diameter: 0.53 };
+    let sky = Some(SkySource::Clear { turbidity: 2.5, ground: 0.2 });
+    let options = BakeOptions { sky, sun: Some(sun), sky_scale: 0.5, ..one_round(PAGE) };
+    let clear = ClearSky { turbidity: 2.5, ground: 0.2, towards_sun: sun.towards() };
+    let Ok(Sky::Image { width, height, radiance, .. }) = clear.image(1.0) else { panic!("an image") };
+    let sin2 = |y: usize| (y as f64 * PI / height as f64).sin().powi(2);
+    let expected: f64 = (0..height / 2)
+        .map(|y| {
+            let row: f64 = radiance[y * width..(y + 1) * width].iter().map(|&l| grey(l)).sum();
+            row * (sin2(y + 1) - sin2(y)) * PI / width as f64
+        })
+        .sum();
+    let [mean] = samples(&scene, &options, 0..32, |bake, e| [node_mean(bake, e, 0)]);
+    expect_mean("ground", &mean, 0.5 * expected, 0.02, 1);
 }

@@ -246,6 +246,9 @@ fn the_command_line_changes_lights_and_says_so() {
     assert_eq!(written.lights.len(), 1, "only the spot is left to the engine");
 
     for (flag, what) in [
+        ("--sky=clear:3", "--sky clear: needs --sun"),
+        ("--sky=clear:hazy", "takes clear:TURBIDITY[,GROUND]"),
+        ("--sky=clear:0.5", "turbidity lies in 1 to 10"),
         ("--light=spot", "takes NAME=full"),
         ("--light=spot=bright", "takes NAME=full"),
         ("--light==off", "takes NAME=full"),
@@ -255,6 +258,11 @@ fn the_command_line_changes_lights_and_says_so() {
     ] {
         let said = expect(&evenlight(folder.path(), &["bake", "room.glb", "-o", "new", flag]), 2);
         assert!(said.contains(what), "{flag}: {said}");
+    }
+    for (sun, what) in [("--sun=-5,0,0", "0 to 90 degrees high"), ("--sun=5,0,0", "--sky-rotation turns an image")] {
+        let flags = ["bake", "room.glb", "-o", "new", "--sky=clear:3", "--sky-rotation=5", sun];
+        let said = expect(&evenlight(folder.path(), &flags), 2);
+        assert!(said.contains(what), "{sun}: {said}");
     }
     let said = expect(&evenlight(folder.path(), &["bake", "room.glb", "-o", "new", "--ies=bulb=room.glb"]), 1);
     assert!(said.contains("room.glb: line") && said.contains("no line TILT="), "{said}");
@@ -316,7 +324,8 @@ no-preview = true
 no-html = true
 float = false
 layers = ["coverage", "area"]
-sky = "1,2,3"
+sky = "clear:3"
+sun = "40,90,0"
 seed = 7
 
 [light]
@@ -362,7 +371,8 @@ bake = false
         "--light=bulb=indirect",
         "--light=bulb=2",
         "--ies=bulb=even.ies",
-        "--sky=1,2,3",
+        "--sky=clear:3,0.2",
+        "--sun=40,90,0",
         "--seed=7",
         "--exclude=lamp",
         "--layers=coverage,area",

@@ -103,8 +103,9 @@ pub struct BakeArgs {
     #[arg(long, default_value = "uvunwrap", value_parser = ["uvunwrap", "xatlas"], help_heading = "Atlas")]
     unwrapper: String,
 
-    /// Light from everywhere: cd/m2, R,G,B, or an equirectangular .hdr or .exr file (1.0 = 1 cd/m2).
-    #[arg(long, value_name = "CD/M2|R,G,B|FILE", help_heading = "Light")]
+    /// Light from everywhere: cd/m2, R,G,B, an equirectangular .hdr or .exr file (1.0 = 1 cd/m2), or a clear day with the
+    /// sun of --sun: `clear:3`, turbidity 1 to 10, and after a comma the reflectance of the ground [default: 0.2].
+    #[arg(long, value_name = "CD/M2|R,G,B|FILE|clear:TURBIDITY", help_heading = "Light")]
     sky: Option<String>,
     /// Turn a sky file about the vertical [degrees, counter-clockwise from above].
     #[arg(long, default_value_t = 0.0, allow_negative_numbers = true, help_heading = "Light")]
@@ -211,7 +212,7 @@ impl BakeArgs {
             gutter: self.gutter,
             uv: if self.uv == "keep" { UvSource::Keep } else { UvSource::Generate },
             unwrapper: self.unwrapper()?,
-            sky: self.sky.as_deref().map(sky),
+            sky: self.sky.as_deref().map(sky).transpose()?,
             sky_rotation: self.sky_rotation,
             sky_scale: self.sky_scale,
             sun: self.sun.as_deref().map(sun).transpose()?,
@@ -345,15 +346,25 @@ fn audits(text: &str) -> Result<Audits, BakeError> {
     }
 }
 
-/// A number, three numbers, or else a file.
-fn sky(text: &str) -> SkySource {
-    let numbers: Option<Vec<f32>> = text.split(',').map(|n| n.trim().parse().ok()).collect();
-    match numbers.as_deref() {
+/// A number, three numbers, a clear day, or else a file.
+fn sky(text: &str) -> Result<SkySource, BakeError> {
+    let numbers = |text: &str| -> Option<Vec<f32>> { text.split(',').map(|n| n.trim().parse().ok()).collect() };
+    if let Some(clear) = text.strip_prefix(CLEAR) {
+        return match numbers(clear).as_deref() {
+            Some(&[turbidity]) => Ok(SkySource::Clear { turbidity, ground: 0.2 }),
+            Some(&[turbidity, ground]) => Ok(SkySource::Clear { turbidity, ground }),
+            _ => Err(BakeError::Options(format!("--sky {text}: takes clear:TURBIDITY[,GROUND], such as clear:3"))),
+        };
+    }
+    Ok(match numbers(text).as_deref() {
         Some(&[l]) => SkySource::Constant(Vec3::splat(l)),
         Some(&[r, g, b]) => SkySource::Constant(Vec3::new(r, g, b)),
         _ => SkySource::File(text.into()),
-    }
+    })
 }
+
+/// How a clear sky begins.
+pub const CLEAR: &str = "clear:";
 
 fn sun(text: &str) -> Result<Sun, BakeError> {
     let numbers: Option<Vec<f32>> = text.split(',').map(|n| n.trim().parse().ok()).collect();

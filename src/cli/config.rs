@@ -3,7 +3,7 @@
 //! Every long flag is a key; a flag without value takes `true`. `[light.NAME]` and `[node.NAME]` are tables. What the
 //! command line says itself wins. Paths are relative to the file.
 
-use super::args::{Cli, light_word};
+use super::args::{CLEAR, Cli, light_word};
 use clap::parser::ValueSource;
 use clap::{ArgAction, ArgMatches, Command, CommandFactory};
 use evenlight::BakeError;
@@ -264,7 +264,7 @@ impl At<'_> {
 fn is_path(name: &str, value: &str) -> bool {
     match name {
         "scene" | "out" | "cache" | "plan" => true,
-        "sky" => !value.split(',').all(|n| n.trim().parse::<f32>().is_ok()),
+        "sky" => !value.starts_with(CLEAR) && !value.split(',').all(|n| n.trim().parse::<f32>().is_ok()),
         _ => false,
     }
 }

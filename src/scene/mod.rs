@@ -9,6 +9,7 @@
 //! Nothing here knows of texels, rays or photons.
 
 mod change;
+mod clear_sky;
 pub mod gltf;
 mod ies;
 mod light;
@@ -20,6 +21,7 @@ mod texture;
 mod world;
 
 pub use change::{Changes, LightChange, NodeChange};
+pub use clear_sky::ClearSky;
 pub use light::{BakeMode, Camera, Light, LightKind, Projection};
 pub use material::{Alpha, Material, TextureRef};
 pub use mesh::{Instance, Mesh, Primitive};
