@@ -219,6 +219,7 @@ fn report(
             triangles: world.len(),
         },
         skips: solution.audit.err().into_iter().map(String::from).collect(),
+        changed: scene.changed.clone(),
         warnings,
         peak_memory_bytes: None,
         seconds: Seconds::default(),

@@ -1,7 +1,7 @@
 //! What a bake is asked for.
 
 use crate::error::BakeError;
-use glam::Vec3;
+use glam::{DVec3, Vec3};
 use std::path::PathBuf;
 
 /// Everything a bake can be asked for. Fields map one to one to the flags of the command line.
@@ -139,6 +139,13 @@ pub enum SkySource {
     Constant(Vec3),
     /// An equirectangular .hdr or .exr file; 1.0 = 1 nit, the centre looks along -Z.
     File(PathBuf),
+    /// A clear day with the sun where [`BakeOptions::sun`] has it; dark below the horizon.
+    Clear {
+        /// Haze, in [1, 10].
+        turbidity: f32,
+        /// Reflectance of the ground all around, in [0, 1].
+        ground: f32,
+    },
 }
 
 /// A sun given on the command line.
@@ -152,6 +159,15 @@ pub struct Sun {
     pub illuminance: f32,
     /// Angular diameter. Unit: degrees. Default: 0.53.
     pub diameter: f32,
+}
+
+impl Sun {
+    /// Unit direction towards it.
+    pub fn towards(&self) -> DVec3 {
+        let (e, a) = (f64::from(self.elevation).to_radians(), f64::from(self.azimuth).to_radians());
+        let ((se, ce), (sa, ca)) = (libm::sincos(e), libm::sincos(a));
+        DVec3::new(sa * ce, se, -ca * ce)
+    }
 }
 
 /// Which part of the light is baked.
@@ -276,6 +292,24 @@ impl BakeOptions {
             && !((*l * self.sky_scale).is_finite() && l.min_element() >= 0.0)
         {
             return fail(format!("--sky {},{},{}: radiance times --sky-scale must be a number from 0", l.x, l.y, l.z));
+        }
+        if let Some(SkySource::Clear { turbidity, ground }) = self.sky {
+            if !(1.0..=10.0).contains(&turbidity) || !(0.0..=1.0).contains(&ground) {
+                return fail(format!(
+                    "--sky clear:{turbidity},{ground}: turbidity lies in 1 to 10, the ground in 0 to 1"
+                ));
+            }
+            let Some(sun) = self.sun else {
+                return fail(
+                    "--sky clear: needs --sun ELEVATION,AZIMUTH,LUX; with 0 lux it only says where the sun is".into(),
+                );
+            };
+            if !(0.0..=90.0).contains(&sun.elevation) {
+                return fail(format!("--sky clear: the sun must stand 0 to 90 degrees high, not {}", sun.elevation));
+            }
+            if self.sky_rotation != 0.0 {
+                return fail("--sky-rotation turns an image; a clear sky turns with --sun".into());
+            }
         }
         if let Audits::Texels(n) = self.audit
             && !(2..=MAX_AUDITED).contains(&n)

@@ -77,6 +77,8 @@ pub struct Report {
     pub atlas: AtlasSummary,
     /// What was skipped, and what that saved.
     pub skips: Vec<String>,
+    /// What was changed of the scene before, by name.
+    pub changed: Vec<String>,
     /// What is odd but usable.
     pub warnings: Vec<Warning>,
     /// Largest memory of the process so far (bytes), where the system tells.

@@ -50,6 +50,7 @@ fn scene(meshes: Vec<Triangles>, instances: Vec<(usize, DAffine3)>) -> Scene {
         cameras: vec![],
         sky: None,
         warnings: vec![],
+        changed: vec![],
         source: gltf::Document::default(),
     }
 }

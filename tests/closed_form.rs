@@ -6,10 +6,10 @@ mod common;
 
 use common::formulas::{QuadMap, disc_irradiance, point_irradiance, polygon_irradiance};
 use common::rooms::{Builder, plain, run};
-use common::runs::{area_mean, flux, grey, node_mean, one_round, samples, texel_samples};
-use common::statistics::{expect_mean, mean_test, score, score_tests};
-use evenlight::options::Lights;
-use evenlight::scene::{LightKind, Material, Scene, Sky};
+use common::runs::{self, area_mean, flux, grey, node_mean, one_round, samples};
+use common::statistics::{expect_mean, mean_test};
+use evenlight::options::{Lights, SkySource, Sun};
+use evenlight::scene::{ClearSky, LightKind, Material, Scene, Sky};
 use evenlight::{Bake, BakeOptions};
 use glam::{DVec3, Vec3, Vec4};
 use std::f64::consts::PI;
@@ -124,26 +124,9 @@ fn floor(b: &mut Builder) {
 
 const PAGE: u32 = 64;
 
-/// Every texel of the first node against the mean over the texel of `e(position, normal)`: the largest score of
-/// all texels, and where the noise of the texels is independent (direct light), their mean and squares too.
+/// Every texel of the first node against the mean over the texel of `e(position, normal)`.
 fn expect_texels(what: &str, scene: &Scene, seeds: u64, e: impl Fn(DVec3, DVec3) -> f64) {
-    let quad = QuadMap::of(scene, 0, PAGE);
-    let places = run(scene, &one_round(PAGE));
-    let found = texel_samples(scene, &one_round(PAGE), 0..seeds);
-    let scores: Vec<f64> = (0..places.texels.mapped)
-        .filter(|&i| places.solution.weights.instance[i] == 0)
-        .map(|i| {
-            let (_, x, y) = places.texels.page_position(i);
-            let expected = quad.texel_mean(x, y, |p| e(p, quad.normal));
-            score(&found[i].iter().map(|&e| grey(e)).collect::<Vec<_>>(), expected)
-        })
-        .collect();
-    // Where the sampling is exact there is no noise to test.
-    if scores.iter().any(|&z| z != 0.0)
-        && let Err(e) = score_tests(&scores)
-    {
-        panic!("{what}: {e}");
-    }
+    runs::expect_texels(what, scene, PAGE, seeds, e);
 }
 
 #[test]
@@ -388,4 +371,26 @@ fn expect_near(what: &str, samples: &[f64], expected: f64, systematic: f64, visi
     let nearest = expected + (mean - expected).clamp(-systematic, systematic);
     println!("{what}: {mean} for {expected}");
     expect_mean(what, samples, nearest, visible, tests);
+}
+
+/// Open ground under a clear sky gets what its pixels send, weighed by the cosine.
+#[test]
+fn clear_sky_on_the_ground() {
+    let mut b = Builder::new(PAGE);
+    floor(&mut b);
+    let scene = b.finish();
+    let sun = Sun { elevation: 35.0, azimuth: 110.0, illuminance: 0.0, diameter: 0.53 };
+    let sky = Some(SkySource::Clear { turbidity: 2.5, ground: 0.2 });
+    let options = BakeOptions { sky, sun: Some(sun), sky_scale: 0.5, ..one_round(PAGE) };
+    let clear = ClearSky { turbidity: 2.5, ground: 0.2, towards_sun: sun.towards() };
+    let Ok(Sky::Image { width, height, radiance, .. }) = clear.image(1.0) else { panic!("an image") };
+    let sin2 = |y: usize| (y as f64 * PI / height as f64).sin().powi(2);
+    let expected: f64 = (0..height / 2)
+        .map(|y| {
+            let row: f64 = radiance[y * width..(y + 1) * width].iter().map(|&l| grey(l)).sum();
+            row * (sin2(y + 1) - sin2(y)) * PI / width as f64
+        })
+        .sum();
+    let [mean] = samples(&scene, &options, 0..32, |bake, e| [node_mean(bake, e, 0)]);
+    expect_mean("ground", &mean, 0.5 * expected, 0.02, 1);
 }

@@ -11,7 +11,7 @@ use evenlight::output::glb::{GlbInfo, GlbOptions, write};
 use evenlight::output::manifest::{BakedPart, Manifest, ManifestInputs};
 use evenlight::scene::gltf::Document;
 use evenlight::scene::{BakeMode, Instance, Light, LightKind, Mesh, Primitive, Scene};
-use glam::{DAffine3, DVec3, Vec2, Vec3};
+use glam::{DAffine3, DVec3, Mat3, Vec2, Vec3};
 use glb_reader::{Parsed, parse};
 use serde_json::{Value, json};
 use std::path::PathBuf;
@@ -222,13 +222,16 @@ fn scene_of(document: &Document) -> Scene {
             node: Some(nodes.len() - 1),
             position: DVec3::ZERO,
             direction: Vec3::NEG_Z,
+            axes: Mat3::IDENTITY,
             intensity: Vec3::ONE,
             kind: LightKind::Point,
+            profile: None,
             bake: BakeMode::Full,
         }],
         cameras: Vec::new(),
         sky: None,
         warnings: Vec::new(),
+        changed: Vec::new(),
         source: document.clone(),
     }
 }

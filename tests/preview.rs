@@ -54,6 +54,7 @@ fn scene(meshes: Vec<Mesh>, materials: Vec<Material>) -> Scene {
         cameras: Vec::new(),
         sky: None,
         warnings: Vec::new(),
+        changed: Vec::new(),
         source: Document::default(),
     }
 }

@@ -22,7 +22,7 @@ pub(super) struct TransportGrid {
 /// Whether light goes on from a triangle, so that it needs a grid where it has no place on the map.
 pub(super) fn reflects(world: &World, id: usize) -> bool {
     let flags = world.flags[id];
-    let seen = !flags.has(SurfaceFlags::DEGENERATE) && !flags.has(SurfaceFlags::UNLIT);
+    let seen = !flags.has(SurfaceFlags::UNSEEN) && !flags.has(SurfaceFlags::UNLIT);
     seen && (flags.has(SurfaceFlags::SPECULAR) || world.material(id as u32).shows_diffuse_light())
 }
 

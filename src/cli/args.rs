@@ -7,6 +7,7 @@ use evenlight::options::{
     Unwrapper, UvSource,
 };
 use evenlight::output::lightmap_exr::Layer;
+use evenlight::scene::{BakeMode, Changes, LightChange};
 use glam::Vec3;
 use std::path::PathBuf;
 
@@ -61,6 +62,12 @@ pub struct BakeArgs {
     #[arg(long, value_name = "NAME")]
     pub variant: Option<String>,
 
+    /// A TOML file that says what these flags would: each by its long name, and tables [light.NAME] with bake, scale and
+    /// ies, [node.NAME] with weight, density, bake, casts and receives. What is said here wins. Paths in it are relative
+    /// to it.
+    #[arg(long, value_name = "FILE")]
+    config: Option<PathBuf>,
+
     /// Bake until the upper 95 % limit of the texel error is under this [% of the mean].
     #[arg(long, default_value_t = 2.0, help_heading = "Targets and limits")]
     target_percent: f64,
@@ -102,8 +109,9 @@ pub struct BakeArgs {
     #[arg(long, default_value = "uvunwrap", value_parser = ["uvunwrap", "xatlas"], help_heading = "Atlas")]
     unwrapper: String,
 
-    /// Light from everywhere: cd/m2, R,G,B, or an equirectangular .hdr or .exr file (1.0 = 1 cd/m2).
-    #[arg(long, value_name = "CD/M2|R,G,B|FILE", help_heading = "Light")]
+    /// Light from everywhere: cd/m2, R,G,B, an equirectangular .hdr or .exr file (1.0 = 1 cd/m2), or a clear day with the
+    /// sun of --sun: `clear:3`, turbidity 1 to 10, and after a comma the reflectance of the ground [default: 0.2].
+    #[arg(long, value_name = "CD/M2|R,G,B|FILE|clear:TURBIDITY", help_heading = "Light")]
     sky: Option<String>,
     /// Turn a sky file about the vertical [degrees, counter-clockwise from above].
     #[arg(long, default_value_t = 0.0, allow_negative_numbers = true, help_heading = "Light")]
@@ -117,6 +125,14 @@ pub struct BakeArgs {
     /// Bake all light, or only what punctual lights reflect.
     #[arg(long, default_value = "all", value_parser = ["all", "indirect"], help_heading = "Light")]
     lights: String,
+    /// NAME=full|indirect|off or NAME=SCALE: which part of a light is baked, or a factor on it. By name of a light, of
+    /// its node, or of a material that emits; `*` at the end stands for any end. May be repeated.
+    #[arg(long, value_name = "NAME=WHAT", help_heading = "Light")]
+    light: Vec<String>,
+    /// NAME=FILE: let a point or spot light shine as an IES file says, with the intensity of the file and the hue of the
+    /// light. Names as of --light. May be repeated.
+    #[arg(long, value_name = "NAME=FILE", help_heading = "Light")]
+    ies: Vec<String>,
     /// Leave lights out of scene.glb whose direct light is in the maps.
     #[arg(long, help_heading = "Light")]
     remove_baked_lights: bool,
@@ -202,7 +218,7 @@ impl BakeArgs {
             gutter: self.gutter,
             uv: if self.uv == "keep" { UvSource::Keep } else { UvSource::Generate },
             unwrapper: self.unwrapper()?,
-            sky: self.sky.as_deref().map(sky),
+            sky: self.sky.as_deref().map(sky).transpose()?,
             sky_rotation: self.sky_rotation,
             sky_scale: self.sky_scale,
             sun: self.sun.as_deref().map(sun).transpose()?,
@@ -228,6 +244,16 @@ impl BakeArgs {
         };
         options.validate()?;
         Ok(options)
+    }
+
+    /// Changes to the scene out of flags.
+    ///
+    /// # Errors
+    /// [`BakeError::Options`] names the flag and what it takes.
+    pub fn changes(&self) -> Result<Changes, BakeError> {
+        let lights = self.light.iter().map(|text| light(text));
+        let profiles = self.ies.iter().map(|text| profile(text));
+        Ok(Changes { lights: profiles.chain(lights).collect::<Result<_, _>>()?, nodes: Vec::new() })
     }
 
     /// Extra layers of the EXR files.
@@ -269,6 +295,36 @@ impl BakeArgs {
     }
 }
 
+/// NAME=full|indirect|off|SCALE.
+fn light(text: &str) -> Result<(String, LightChange), BakeError> {
+    let fail = || {
+        BakeError::Options(format!(
+            "--light {text}: takes NAME=full, NAME=indirect, NAME=off or NAME=SCALE, such as 0.5"
+        ))
+    };
+    let (name, what) = text.rsplit_once('=').filter(|(name, _)| !name.is_empty()).ok_or_else(fail)?;
+    let change = match light_word(what.trim()) {
+        Some(mode) => LightChange { bake: Some(mode), ..LightChange::default() },
+        None => LightChange { scale: Some(what.trim().parse().map_err(|_| fail())?), ..LightChange::default() },
+    };
+    Ok((name.into(), change))
+}
+
+/// Which part of a light is baked.
+pub fn light_word(word: &str) -> Option<BakeMode> {
+    [BakeMode::Full, BakeMode::Indirect, BakeMode::Off].into_iter().find(|mode| mode.word() == word)
+}
+
+/// NAME=FILE.
+fn profile(text: &str) -> Result<(String, LightChange), BakeError> {
+    match text.split_once('=') {
+        Some((name, file)) if !name.is_empty() && !file.is_empty() => {
+            Ok((name.into(), LightChange { ies: Some(file.into()), ..LightChange::default() }))
+        }
+        _ => Err(BakeError::Options(format!("--ies {text}: takes NAME=FILE, such as pendant=downlight.ies"))),
+    }
+}
+
 fn density(text: &str) -> Result<Density, BakeError> {
     match text {
         "auto" => Ok(Density::Auto),
@@ -296,15 +352,25 @@ fn audits(text: &str) -> Result<Audits, BakeError> {
     }
 }
 
-/// A number, three numbers, or else a file.
-fn sky(text: &str) -> SkySource {
-    let numbers: Option<Vec<f32>> = text.split(',').map(|n| n.trim().parse().ok()).collect();
-    match numbers.as_deref() {
+/// A number, three numbers, a clear day, or else a file.
+fn sky(text: &str) -> Result<SkySource, BakeError> {
+    let numbers = |text: &str| -> Option<Vec<f32>> { text.split(',').map(|n| n.trim().parse().ok()).collect() };
+    if let Some(clear) = text.strip_prefix(CLEAR) {
+        return match numbers(clear).as_deref() {
+            Some(&[turbidity]) => Ok(SkySource::Clear { turbidity, ground: 0.2 }),
+            Some(&[turbidity, ground]) => Ok(SkySource::Clear { turbidity, ground }),
+            _ => Err(BakeError::Options(format!("--sky {text}: takes clear:TURBIDITY[,GROUND], such as clear:3"))),
+        };
+    }
+    Ok(match numbers(text).as_deref() {
         Some(&[l]) => SkySource::Constant(Vec3::splat(l)),
         Some(&[r, g, b]) => SkySource::Constant(Vec3::new(r, g, b)),
         _ => SkySource::File(text.into()),
-    }
+    })
 }
+
+/// How a clear sky begins.
+pub const CLEAR: &str = "clear:";
 
 fn sun(text: &str) -> Result<Sun, BakeError> {
     let numbers: Option<Vec<f32>> = text.split(',').map(|n| n.trim().parse().ok()).collect();

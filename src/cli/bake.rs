@@ -1,6 +1,7 @@
 //! `evenlight bake`: a scene in, a folder of results out.
 
 use super::args::BakeArgs;
+use super::config::Config;
 use super::terminal::Terminal;
 use evenlight::output::glb::{self, GlbOptions};
 use evenlight::output::lightmap_exr::{self, ExrSettings};
@@ -20,10 +21,15 @@ const VIEW_SIZE: u32 = 960;
 const MOST_VIEWS: usize = 4;
 
 /// Bakes and writes; the exit status.
-pub fn run(args: &BakeArgs) -> Result<u8, BakeError> {
-    let options = args.options()?;
-    let layers = args.layers()?;
-    let scene = Scene::from_gltf_with(&args.scene[0], &LoadOptions { variant: args.variant.clone() })?;
+pub fn run(args: &BakeArgs, config: Config) -> Result<u8, BakeError> {
+    let located = |error| config.locate(error);
+    let options = args.options().map_err(located)?;
+    let layers = args.layers().map_err(located)?;
+    let more = args.changes().map_err(located)?;
+    let mut changes = config.changes;
+    changes.lights.extend(more.lights);
+    let mut scene = Scene::from_gltf_with(&args.scene[0], &LoadOptions { variant: args.variant.clone() })?;
+    scene.change(&changes)?;
     // Made before the work, so that a folder which cannot be written is known now. Nothing appears in it
     // until all files are complete.
     let mut staging = Staging::new(&args.out)?;
@@ -57,6 +63,7 @@ pub fn run(args: &BakeArgs) -> Result<u8, BakeError> {
     if args.json {
         super::print(&report)?;
     }
+    bake.report.changed.iter().for_each(|what| eprintln!("changed: {what}"));
     eprintln!("{}", summary(&bake.report, &args.out));
     Ok(if bake.report.target_met { 0 } else { super::TARGET_MISSED })
 }

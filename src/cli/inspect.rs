@@ -2,7 +2,7 @@
 
 use evenlight::Warning;
 use evenlight::accel::{coincident_warning, part_coincident};
-use evenlight::scene::{BakeMode, LightKind, Scene, Sky, SurfaceFlags, World};
+use evenlight::scene::{IesProfile, Light, LightKind, Scene, Sky, SurfaceFlags, World};
 use serde::Serialize;
 use std::fmt::{self, Write};
 
@@ -54,6 +54,8 @@ pub struct InstanceEntry {
     pub area: f64,
     /// Gets a lightmap.
     pub bake: bool,
+    /// Blocks and reflects light.
+    pub casts: bool,
     /// Weight in the error figures.
     pub weight: f32,
     /// Factor on the texel density.
@@ -73,10 +75,23 @@ pub struct LightEntry {
     pub name: String,
     /// `point`, `spot` or `directional`.
     pub kind: &'static str,
-    /// Candela, or lux for a directional light.
+    /// Candela, along the brightest direction of a profile; lux for a directional light.
     pub intensity: [f32; 3],
+    /// Its IES profile.
+    pub profile: Option<ProfileEntry>,
     /// `full`, `indirect` or `off`.
     pub bake: &'static str,
+}
+
+/// The IES profile of a light.
+#[derive(Debug, Serialize)]
+pub struct ProfileEntry {
+    /// Name of the file.
+    pub file: String,
+    /// Flux of the light [lm], of its brightest channel.
+    pub lumens: f64,
+    /// Rated flux of its lamps [lm]; none where photometry is absolute.
+    pub lamp_lumens: Option<f64>,
 }
 
 /// A material that emits.
@@ -127,6 +142,7 @@ pub fn inspect(scene: &Scene) -> Inspection {
             triangles: mesh.triangle_count(),
             area,
             bake: instance.bake,
+            casts: instance.casts,
             weight: instance.weight,
             density: instance.density,
             normals: mesh.primitives.iter().all(|p| !p.normals.is_empty()),
@@ -163,18 +179,25 @@ pub fn inspect(scene: &Scene) -> Inspection {
     inspection
 }
 
-fn light_entry(light: &evenlight::scene::Light) -> LightEntry {
+fn light_entry(light: &Light) -> LightEntry {
     let kind = match light.kind {
         LightKind::Point => "point",
         LightKind::Spot { .. } => "spot",
         LightKind::Directional { .. } => "directional",
     };
-    let bake = match light.bake {
-        BakeMode::Full => "full",
-        BakeMode::Indirect => "indirect",
-        BakeMode::Off => "off",
-    };
-    LightEntry { name: light.name.clone(), kind, intensity: light.intensity.to_array(), bake }
+    LightEntry {
+        name: light.name.clone(),
+        kind,
+        intensity: light.intensity.to_array(),
+        profile: light.profile.as_ref().map(|profile| profile_entry(light, profile)),
+        bake: light.bake.word(),
+    }
+}
+
+fn profile_entry(light: &Light, profile: &IesProfile) -> ProfileEntry {
+    // The same of all channels: what of the profile's intensity its light has.
+    let share = if profile.peak() > 0.0 { f64::from(light.intensity.max_element()) / profile.peak() } else { 0.0 };
+    ProfileEntry { file: profile.name.clone(), lumens: profile.flux() * share, lamp_lumens: profile.lamp_lumens() }
 }
 
 fn emitters(scene: &Scene, areas: &[f64]) -> Vec<EmitterEntry> {
@@ -278,7 +301,9 @@ impl Inspection {
         let lights = self.lights.iter().map(|l| {
             let unit = if l.kind == "directional" { "lux" } else { "cd" };
             let [r, g, b] = l.intensity;
-            format!("{:<24} {:<12} {r} {g} {b} {unit}, baked: {}", l.name, l.kind, l.bake)
+            let profile = l.profile.as_ref();
+            let profile = profile.map_or(String::new(), |p| format!(", {:.0} lm by {}", p.lumens, p.file));
+            format!("{:<24} {:<12} {r} {g} {b} {unit}{profile}, baked: {}", l.name, l.kind, l.bake)
         });
         table(out, "lights", lights)?;
         let emitters = self.emitters.iter().map(|e| {
@@ -299,7 +324,12 @@ impl Inspection {
         largest.sort_by(|a, b| b.area.total_cmp(&a.area));
         let nodes = largest.iter().map(|i| {
             let mut notes = String::new();
-            for (on, note) in [(!i.bake, ", not baked"), (i.mirrored, ", mirrored"), (!i.normals, ", flat")] {
+            for (on, note) in [
+                (!i.bake, ", not baked"),
+                (!i.casts, ", casts nothing"),
+                (i.mirrored, ", mirrored"),
+                (!i.normals, ", flat"),
+            ] {
                 notes.push_str(if on { note } else { "" });
             }
             format!("{:<24} {:>10} triangles {:>12.3} m2{notes}", i.name, i.triangles, i.area)

@@ -6,6 +6,7 @@
 
 mod args;
 mod bake;
+mod config;
 pub mod inspect;
 mod terminal;
 
@@ -20,10 +21,14 @@ pub const TARGET_MISSED: u8 = 3;
 
 /// Parses the arguments and runs the command.
 pub fn run() -> ExitCode {
-    let command = args::Cli::parse().command;
+    let (arguments, config) = match config::expand(std::env::args_os().collect()) {
+        Ok(found) => found,
+        Err(error) => return failed(&error),
+    };
+    let command = args::Cli::parse_from(arguments).command;
     evenlight::atlas::silence_unwrapper_panics();
     let result = match command {
-        args::Command::Bake(args) => bake::run(&args),
+        args::Command::Bake(args) => bake::run(&args, config.unwrap_or_default()),
         args::Command::Inspect { scene, variant, json } => inspect_scene(&scene, variant, json),
         args::Command::UnwrapWorker => return ExitCode::from(evenlight::atlas::worker_main() as u8),
         args::Command::Check { .. } => not_built("check"),
@@ -34,11 +39,13 @@ pub fn run() -> ExitCode {
     };
     match result {
         Ok(status) => ExitCode::from(status),
-        Err(error) => {
-            eprintln!("error: {error}");
-            ExitCode::from(if matches!(error, BakeError::Options(_)) { 2 } else { 1 })
-        }
+        Err(error) => failed(&error),
     }
+}
+
+fn failed(error: &BakeError) -> ExitCode {
+    eprintln!("error: {error}");
+    ExitCode::from(if matches!(error, BakeError::Options(_)) { 2 } else { 1 })
 }
 
 fn not_built(what: &str) -> Result<u8, BakeError> {

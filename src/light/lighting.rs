@@ -2,8 +2,8 @@
 
 use crate::error::{BakeError, Warning};
 use crate::options::{BakeOptions, SkySource};
-use crate::scene::{BakeMode, Light, LightKind, Scene, Sky};
-use glam::{DVec3, Vec3};
+use crate::scene::{BakeMode, ClearSky, Light, LightKind, Scene, Sky};
+use glam::{DVec3, Mat3, Vec3};
 
 /// All light sources besides emissive surfaces.
 #[derive(Debug, Clone)]
@@ -33,18 +33,22 @@ impl Lighting {
                 warnings.extend(found);
                 Some(sky)
             }
+            Some(SkySource::Clear { turbidity, ground }) => {
+                let towards_sun = options.sun.map_or(DVec3::Y, |sun| sun.towards());
+                let clear = ClearSky { turbidity: *turbidity, ground: *ground, towards_sun };
+                Some(clear.image(scale).map_err(|e| BakeError::Options(format!("--sky clear: {e}")))?)
+            }
         };
         if let Some(sun) = options.sun {
-            let (e, a) = (f64::from(sun.elevation).to_radians(), f64::from(sun.azimuth).to_radians());
-            let ((se, ce), (sa, ca)) = (libm::sincos(e), libm::sincos(a));
-            let towards = DVec3::new(sa * ce, se, -ca * ce);
             lights.push(Light {
                 name: "sun".into(),
                 node: None,
                 position: DVec3::ZERO,
-                direction: (-towards).as_vec3(),
+                direction: (-sun.towards()).as_vec3(),
+                axes: Mat3::IDENTITY,
                 intensity: Vec3::splat(sun.illuminance),
                 kind: LightKind::Directional { angular_diameter: sun.diameter.to_radians() },
+                profile: None,
                 bake: BakeMode::Full,
             });
         }

@@ -89,6 +89,9 @@ pub struct ManifestLight {
     pub name: String,
     /// Index of its node in the scene file; `None` for a light that is not from the file.
     pub node: Option<usize>,
+    /// File of its IES profile, if it has one.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub profile: Option<String>,
     /// What of it is in the maps.
     pub bake: BakedPart,
 }
@@ -162,6 +165,7 @@ impl Manifest {
                 .map(|light| ManifestLight {
                     name: light.name.clone(),
                     node: light.node,
+                    profile: light.profile.as_ref().map(|profile| profile.name.clone()),
                     bake: match (light.bake, lights) {
                         (BakeMode::Off, _) => BakedPart::Off,
                         (BakeMode::Full, Lights::All) => BakedPart::Full,

@@ -1,8 +1,10 @@
 //! Lights without area, and cameras.
 
-use glam::{DVec3, Vec3};
+use super::IesProfile;
+use glam::{DVec3, Mat3, Vec3};
+use std::sync::Arc;
 
-/// A light of KHR_lights_punctual, or a sun given on the command line.
+/// A light of KHR_lights_punctual or EXT_lights_ies, or a sun given on the command line.
 #[derive(Debug, Clone)]
 pub struct Light {
     /// Name of the light or its node.
@@ -13,13 +15,28 @@ pub struct Light {
     pub position: DVec3,
     /// Unit direction in which the light travels, world space; meaningless for point lights.
     pub direction: Vec3,
-    /// Colour times intensity: candela for point and spot lights, lux on a plane facing the light for
-    /// directional ones.
+    /// Unit axes of the light's frame in world space; it shines along its -Z. A node that mirrors mirrors its light.
+    pub axes: Mat3,
+    /// Colour times intensity: candela for point and spot lights, along the brightest direction of those with a
+    /// profile; lux on a plane facing the light for directional ones.
     pub intensity: Vec3,
     /// Shape of the emission.
     pub kind: LightKind,
+    /// How a point light's intensity depends on the direction; `None`: as `kind` says.
+    pub profile: Option<Arc<IesProfile>>,
     /// Which part of its light is baked (extras `evenlight.bake` on the light or its node).
     pub bake: BakeMode,
+}
+
+impl Light {
+    /// Makes this a point light whose intensity is that of `profile`, times `color`, times what the tilt of the
+    /// luminaire leaves of it: the angle between the light's -Z and straight down, -Y.
+    pub fn set_profile(&mut self, profile: Arc<IesProfile>, color: Vec3) {
+        let tilt = libm::acos(f64::from(self.direction.dot(Vec3::NEG_Y)).clamp(-1.0, 1.0));
+        self.intensity = color * (profile.peak() * profile.tilt_factor(tilt)) as f32;
+        self.kind = LightKind::Point;
+        self.profile = Some(profile);
+    }
 }
 
 /// Shape of a light's emission.
@@ -52,6 +69,17 @@ pub enum BakeMode {
     Indirect,
     /// Nothing.
     Off,
+}
+
+impl BakeMode {
+    /// `full`, `indirect` or `off`.
+    pub fn word(self) -> &'static str {
+        match self {
+            BakeMode::Full => "full",
+            BakeMode::Indirect => "indirect",
+            BakeMode::Off => "off",
+        }
+    }
 }
 
 /// A camera of the file, for previews.

@@ -1,5 +1,6 @@
 //! Materials as the light transport sees them.
 
+use super::BakeMode;
 use glam::{Affine2, Vec3, Vec4};
 
 /// What happens to light at a surface. All colours are linear Rec. 709.
@@ -19,6 +20,8 @@ pub struct Material {
     pub metallic_texture: Option<TextureRef>,
     /// Emitted radiance (nit): emissive factor times emissive strength.
     pub emission: Vec3,
+    /// Which part of the emitted light is baked; [`BakeMode::Off`] leaves the surface dark.
+    pub bake: BakeMode,
     /// sRGB texture multiplied with the emission.
     pub emission_texture: Option<TextureRef>,
     /// Coverage by alpha.
@@ -51,6 +54,7 @@ impl Default for Material {
             roughness: 1.0,
             metallic_texture: None,
             emission: Vec3::ZERO,
+            bake: BakeMode::Full,
             emission_texture: None,
             alpha: Alpha::Opaque,
             transmission: 0.0,

@@ -63,3 +63,11 @@ pub struct Instance {
     /// `evenlight.casts`).
     pub casts: bool,
 }
+
+impl Instance {
+    /// Whether it takes part in the bake: what neither casts nor is baked is as if it were not there, its own light
+    /// included.
+    pub fn takes_part(&self) -> bool {
+        self.casts || self.bake
+    }
+}

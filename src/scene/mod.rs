@@ -8,18 +8,25 @@
 //!
 //! Nothing here knows of texels, rays or photons.
 
+mod change;
+mod clear_sky;
 pub mod gltf;
+mod ies;
 mod light;
 mod material;
 mod mesh;
+mod profile;
 mod sky;
 mod specular;
 mod texture;
 mod world;
 
+pub use change::{Changes, LightChange, NodeChange};
+pub use clear_sky::ClearSky;
 pub use light::{BakeMode, Camera, Light, LightKind, Projection};
 pub use material::{Alpha, Material, TextureRef};
 pub use mesh::{Instance, Mesh, Primitive};
+pub use profile::IesProfile;
 pub use sky::Sky;
 pub(crate) use sky::sky_pixel;
 pub use specular::{Arrival, Bounce, Specular, pane_reflectance, reflectance};
@@ -50,6 +57,8 @@ pub struct Scene {
     pub sky: Option<Sky>,
     /// What is odd but usable in the source.
     pub warnings: Vec<Warning>,
+    /// What [`Scene::change`] changed, for the report.
+    pub changed: Vec<String>,
     /// The document as read and unpacked, for writing it back with lightmap UVs.
     pub source: gltf::Document,
 }

@@ -1,7 +1,7 @@
 //! The scene flattened to world-space triangles, in the frame that everything later computes in.
 
 use super::specular::{Arrival, Bounce, Specular, pane_reflectance};
-use super::{Alpha, ColorSpace, Material, Primitive, Scene, TextureRef};
+use super::{Alpha, BakeMode, ColorSpace, Material, Primitive, Scene, TextureRef};
 use glam::{DVec3, Vec2, Vec3, Vec4};
 
 /// The normalised frame: recentred in f64, then scaled by a power of two so that every coordinate lies in
@@ -127,7 +127,7 @@ pub struct Met {
     pub specular: Option<Specular>,
 }
 
-/// World triangles of all instances. Triangle ids count through the instances in order, each with all its
+/// World triangles of all instances that take part. Triangle ids count through the instances in order, each with all its
 /// primitives' triangles (degenerate ones included).
 #[derive(Debug)]
 pub struct World<'s> {
@@ -185,6 +185,9 @@ impl<'s> World<'s> {
                     * sign;
             let largest = cofactor.to_cols_array().iter().fold(0.0f64, |a, b| a.max(b.abs()));
             world.normal_matrices.push((cofactor / largest.max(f64::MIN_POSITIVE)).as_mat3());
+            if !instance.takes_part() {
+                continue;
+            }
             for (p, primitive) in scene.meshes[instance.mesh].primitives.iter().enumerate() {
                 let material = &scene.materials[primitive.material];
                 let flags = material_flags(material, primitive);
@@ -380,7 +383,7 @@ fn material_flags(material: &Material, primitive: &Primitive) -> SurfaceFlags {
         || material.metallic_texture.is_some()
         || material.emission_texture.is_some()
         || material.transmission_texture.is_some();
-    let emits = !material.unlit && material.emission.max_element() > 0.0;
+    let emits = !material.unlit && material.bake != BakeMode::Off && material.emission.max_element() > 0.0;
     SurfaceFlags::default()
         .with(SurfaceFlags::DOUBLE_SIDED, material.is_two_sided())
         .with(SurfaceFlags::PASSES_LIGHT, material.passes_light())
@@ -416,6 +419,7 @@ fn resolve(
     let base = base.truncate().clamp(Vec3::ZERO, Vec3::ONE);
     let color = base * (1.0 - metal);
     let glass = (1.0 - metal) * t;
+    let emission = if m.bake == BakeMode::Off { Vec3::ZERO } else { emission.max(Vec3::ZERO) };
     let specular = Specular {
         metal: metal * alpha,
         metal_color: base,
@@ -428,7 +432,7 @@ fn resolve(
     };
     SurfacePoint {
         albedo: color * (1.0 - t),
-        emission: emission.max(Vec3::ZERO),
+        emission,
         alpha,
         transmittance: if m.solid { Vec3::ZERO } else { color * t },
         specular: m.is_specular().then_some(specular),
@@ -437,7 +441,7 @@ fn resolve(
 
 fn frame_of(scene: &Scene) -> Frame {
     let (mut lo, mut hi) = (DVec3::INFINITY, DVec3::NEG_INFINITY);
-    for instance in &scene.instances {
+    for instance in scene.instances.iter().filter(|i| i.takes_part()) {
         for primitive in &scene.meshes[instance.mesh].primitives {
             for t in &primitive.triangles {
                 for &v in t {

@@ -3,7 +3,7 @@
 use evenlight::options::{Audits, Normals, Smoothing, TexelValue, UvSource};
 use evenlight::scene::{Instance, Light, LightKind, Material, Mesh, Primitive, Scene};
 use evenlight::{Bake, BakeOptions, NoObserver, bake};
-use glam::{DAffine3, DVec3, Vec2, Vec3, Vec4};
+use glam::{DAffine3, DVec3, Mat3, Quat, Vec2, Vec3, Vec4};
 
 /// A scene of rectangles laid out on one page, texel for texel.
 pub struct Builder {
@@ -28,6 +28,7 @@ impl Builder {
             cameras: Vec::new(),
             sky: None,
             warnings: Vec::new(),
+            changed: Vec::new(),
             source: Default::default(),
         };
         Builder { scene, page, pen: [GAP, GAP], shelf: 0 }
@@ -203,8 +204,10 @@ impl Builder {
             node: None,
             position: position.as_dvec3(),
             direction: direction.normalize(),
+            axes: Mat3::from_quat(Quat::from_rotation_arc(Vec3::NEG_Z, direction.normalize())),
             intensity: Vec3::splat(intensity),
             kind,
+            profile: None,
             bake: Default::default(),
         });
     }

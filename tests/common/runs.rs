@@ -1,6 +1,8 @@
 //! Figures of many bakes as independent samples.
 
+use super::formulas::QuadMap;
 use super::rooms::run;
+use super::statistics::{score, score_tests};
 use evenlight::scene::Scene;
 use evenlight::{Bake, BakeOptions};
 use glam::{DVec3, Vec3};
@@ -78,4 +80,26 @@ pub fn side_mean(bake: &Bake, e: &[Vec3], instance: usize, back: bool) -> f64 {
 pub fn flux(bake: &Bake, e: &[Vec3]) -> f64 {
     let m2 = bake.world.frame.metres.powi(2);
     (0..bake.texels.mapped).map(|i| grey(e[i]) * f64::from(bake.texels.texels[i].area) * m2).sum()
+}
+
+/// Every texel of the first node, a quad, against the mean over the texel of `e(position, normal)`: the largest score of
+/// all texels, and where the noise of the texels is independent (direct light), their mean and squares too.
+pub fn expect_texels(what: &str, scene: &Scene, page: u32, seeds: u64, e: impl Fn(DVec3, DVec3) -> f64) {
+    let quad = QuadMap::of(scene, 0, page);
+    let places = run(scene, &one_round(page));
+    let found = texel_samples(scene, &one_round(page), 0..seeds);
+    let scores: Vec<f64> = (0..places.texels.mapped)
+        .filter(|&i| places.solution.weights.instance[i] == 0)
+        .map(|i| {
+            let (_, x, y) = places.texels.page_position(i);
+            let expected = quad.texel_mean(x, y, |p| e(p, quad.normal));
+            score(&found[i].iter().map(|&e| grey(e)).collect::<Vec<_>>(), expected)
+        })
+        .collect();
+    // Where the sampling is exact there is no noise to test.
+    if scores.iter().any(|&z| z != 0.0)
+        && let Err(e) = score_tests(&scores)
+    {
+        panic!("{what}: {e}");
+    }
 }

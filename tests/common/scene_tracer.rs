@@ -176,7 +176,7 @@ impl<'b> SceneTracer<'b> {
             LightKind::Spot { inner, outer } => {
                 ((light.direction.dot(-w) - outer.cos()) / (inner.cos() - outer.cos())).clamp(0.0, 1.0).powi(2)
             }
-            _ => 1.0,
+            _ => light.profile.as_ref().map_or(1.0, |profile| profile.share(light.axes.transpose() * -w)),
         };
         let cosine = at.normal.dot(w);
         if distance <= 0.0 || cosine <= 0.0 || cone <= 0.0 {

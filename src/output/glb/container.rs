@@ -6,6 +6,7 @@
 use super::accessor::integer;
 use super::{items, items_mut};
 use crate::error::BakeError;
+use crate::scene::IesProfile;
 use crate::scene::gltf::Document;
 use serde_json::{Map, Value, json};
 use std::collections::{BTreeMap, BTreeSet};
@@ -197,6 +198,39 @@ pub(super) fn embed_images(
         }
     }
     (embedded, left)
+}
+
+/// The same for the profiles of EXT_lights_ies.
+pub(super) fn embed_profiles(
+    json: &mut Value,
+    folder: &Path,
+    blobs: &mut Vec<Blob>,
+    view_of: impl Fn(usize) -> usize,
+) -> Vec<String> {
+    let mut left = Vec::new();
+    let profiles = json.pointer_mut("/extensions/EXT_lights_ies/lights").and_then(Value::as_array_mut);
+    for profile in profiles.into_iter().flatten().filter_map(Value::as_object_mut) {
+        let Some(uri) = profile.get("uri").and_then(Value::as_str).map(str::to_owned) else { continue };
+        if uri.starts_with("data:") {
+            continue;
+        }
+        match read_profile(folder, &uri) {
+            Ok(data) => {
+                place_in_view(profile, view_of(blobs.len()), "application/x-ies-lm-63", &uri);
+                blobs.push(Blob { data, stride: None, target: None });
+            }
+            Err(why) => left.push(format!("IES profile {uri} stays outside the written scene: {why}")),
+        }
+    }
+    left
+}
+
+/// A file that is an IES profile and needs no other.
+fn read_profile(folder: &Path, uri: &str) -> Result<Vec<u8>, String> {
+    let name = percent_encoding::percent_decode_str(uri).decode_utf8().map_err(|e| e.to_string())?;
+    let bytes = std::fs::read(folder.join(name.as_ref())).map_err(|e| e.to_string())?;
+    IesProfile::from_bytes(Path::new(uri), &bytes, None).map_err(|e| e.to_string())?;
+    Ok(bytes)
 }
 
 fn place_in_view(image: &mut Map<String, Value>, view: usize, mime_type: &str, uri: &str) {

@@ -29,7 +29,7 @@ use std::path::Path;
 /// How the scene is written.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
 pub struct GlbOptions {
-    /// Nodes whose KHR_lights_punctual light is in the maps and goes from the scene, so that no engine lights
+    /// Nodes whose light (KHR_lights_punctual, EXT_lights_ies) is in the maps and goes from the scene, so that no engine lights
     /// twice; see [`fully_baked_lights`]. Default: none.
     pub remove_baked_lights: Vec<usize>,
 }
@@ -101,6 +101,8 @@ fn encode(
     let (embedded, left) = container::embed_images(&mut json, folder, &mut blobs, |k| slots.slot(k));
     info.embedded_images = embedded;
     info.warnings.extend(left.into_iter().map(|what| Warning::new("image-not-embedded", what)));
+    let left = container::embed_profiles(&mut json, folder, &mut blobs, |k| slots.slot(k));
+    info.warnings.extend(left.into_iter().map(|what| Warning::new("profile-not-embedded", what)));
     let bytes = container::assemble(json, document, &slots, &blobs)?;
     info.bytes = bytes.len();
     Ok((bytes, info))

@@ -9,7 +9,8 @@ use crate::scene::gltf::{drop_extension, take_extension};
 use crate::scene::{BakeMode, Scene};
 use serde_json::{Value, json};
 
-const LIGHTS: &str = "KHR_lights_punctual";
+/// Extensions that give a node a light.
+const LIGHTS: [&str; 2] = ["KHR_lights_punctual", "EXT_lights_ies"];
 
 /// Nodes of the lights whose direct and reflected light is all in the maps, in ascending order: what
 /// [`GlbOptions::remove_baked_lights`](super::GlbOptions::remove_baked_lights) wants to know.
@@ -43,15 +44,18 @@ pub(super) fn add_rects(json: &mut Value, scene: &Scene, rects: &[Option<NodeRec
     }
 }
 
-/// Takes the lights from the given nodes; without any left the extension goes too. Returns how many went.
+/// Takes the lights from the given nodes; without any left the extension goes too. Returns from how many.
 pub(super) fn remove_lights(json: &mut Value, nodes: &[usize]) -> usize {
     let mut removed = 0;
     for &node in nodes {
         let Some(node) = items_mut(json, "nodes").nth(node) else { continue };
-        removed += usize::from(take_extension(node, LIGHTS).is_some());
+        let gone = LIGHTS.map(|name| take_extension(node, name).is_some());
+        removed += usize::from(gone.contains(&true));
     }
-    if removed > 0 && !items(json, "nodes").any(|node| node["extensions"].get(LIGHTS).is_some()) {
-        drop_extension(json, LIGHTS);
+    for name in LIGHTS {
+        if removed > 0 && !items(json, "nodes").any(|node| node["extensions"].get(name).is_some()) {
+            drop_extension(json, name);
+        }
     }
     removed
 }

@@ -257,14 +257,15 @@ fn warnings(r: &Report) -> String {
         .take(MOST_WARNINGS)
         .map(|w| format!("{} <span class=\"soft\">[{}]</span>", escape(&w.message, SENTENCE), escape(w.code, NAME)))
         .collect();
+    items.extend(r.changed.iter().take(MOST_WARNINGS).map(|s| format!("changed: {}", escape(s, SENTENCE))));
     items.extend(r.skips.iter().take(MOST_WARNINGS).map(|s| format!("skipped: {}", escape(s, SENTENCE))));
-    let left = r.warnings.len() + r.skips.len() - items.len();
+    let left = r.warnings.len() + r.changed.len() + r.skips.len() - items.len();
     if left > 0 {
         items.push(format!("{left} more in report.json"));
     }
     let list: String = items.iter().map(|i| format!("<li>{i}</li>\n")).collect();
     let list = if items.is_empty() { "<p>None.</p>\n".into() } else { format!("<ul>\n{list}</ul>\n") };
-    format!("<h2>Warnings and skips</h2>\n{list}")
+    format!("<h2>Warnings, changes and skips</h2>\n{list}")
 }
 
 /// Seconds of the stages, and their share.

@@ -165,9 +165,27 @@ fn read_buffers(
 /// # Errors
 /// [`SceneError::Io`] where the file cannot be read, [`SceneError::Invalid`] for everything else.
 pub(super) fn read_uri(document: &Path, uri: &str, label: &str) -> Result<Vec<u8>, SceneError> {
-    if let Some(rest) = uri.get(..5).filter(|s| s.eq_ignore_ascii_case("data:")).map(|s| &uri[s.len()..]) {
-        return data_uri(rest).map_err(|what| invalid(document, format!("{label}: {what}; {REPAIR}")));
+    match data_of(uri) {
+        Some(data) => data_uri(data).map_err(|what| invalid(document, format!("{label}: {what}; {REPAIR}"))),
+        None => read_file(&file_of_uri(document, uri, label)?),
     }
+}
+
+/// Whether a URI holds its data itself.
+pub(super) fn is_data_uri(uri: &str) -> bool {
+    data_of(uri).is_some()
+}
+
+/// What follows `data:`.
+fn data_of(uri: &str) -> Option<&str> {
+    uri.get(..5).filter(|s| s.eq_ignore_ascii_case("data:")).map(|s| &uri[s.len()..])
+}
+
+/// The file in the folder of `document` that a URI means; `label` names who refers to it.
+///
+/// # Errors
+/// [`SceneError::Invalid`] where it is none, or outside of the folder.
+pub(super) fn file_of_uri(document: &Path, uri: &str, label: &str) -> Result<PathBuf, SceneError> {
     let folder = document.parent().unwrap_or(Path::new(""));
     let inside = |name: &str| relative_path(name).map_err(|what| invalid(document, format!("{label}: {what}")));
     let decoded = percent_encoding::percent_decode_str(uri)
@@ -178,10 +196,10 @@ pub(super) fn read_uri(document: &Path, uri: &str, label: &str) -> Result<Vec<u8
     if decoded != uri && !file.exists() {
         let literal = folder.join(inside(uri)?);
         if literal.exists() {
-            return read_file(&literal);
+            return Ok(literal);
         }
     }
-    read_file(&file)
+    Ok(file)
 }
 
 /// Contents of a data URI after `data:`.

@@ -4,7 +4,7 @@ use super::node::direction;
 use super::reader::{REPAIR, Reader};
 use crate::error::SceneError;
 use crate::scene::{BakeMode, Light, LightKind};
-use glam::{DAffine3, DVec3, Vec3};
+use glam::{DAffine3, DVec3, Mat3, Vec3};
 use gltf::json;
 use json::extensions::scene::khr_lights_punctual::{Light as RawLight, Type};
 use json::validation::Checked;
@@ -47,9 +47,11 @@ pub(super) fn read(
         node: Some(node),
         position: world_from_node.translation,
         direction: pointing.unwrap_or(Vec3::NEG_Z),
+        axes: axes(&world_from_node),
         intensity: intensity.max(Vec3::ZERO),
         kind,
-        bake: bake_mode(reader, index, node),
+        profile: None,
+        bake: bake_mode(reader, "lights", index, node),
     }))
 }
 
@@ -70,11 +72,21 @@ fn spot(reader: &mut Reader, raw: &RawLight, label: &str) -> LightKind {
     LightKind::Spot { inner: inner_fixed, outer: outer_fixed }
 }
 
-/// Extras `evenlight.bake` of the node where it is a mode, else of the light. On a node, false speaks of its
-/// mesh.
-fn bake_mode(reader: &mut Reader, light: usize, node: usize) -> BakeMode {
+/// Unit axes of a node's frame in world space, its -Z where the light points. What is skewed is set upright, what is
+/// scaled to nothing guessed; a mirror stays.
+pub(super) fn axes(world_from_node: &DAffine3) -> Mat3 {
+    let m = world_from_node.matrix3;
+    let z = m.z_axis.try_normalize().unwrap_or(DVec3::Z);
+    let x = (m.x_axis - z * z.dot(m.x_axis)).try_normalize().unwrap_or_else(|| z.any_orthonormal_vector());
+    let y = z.cross(x) * if m.determinant() < 0.0 { -1.0 } else { 1.0 };
+    Mat3::from_cols(x.as_vec3(), y.as_vec3(), z.as_vec3())
+}
+
+/// Extras `evenlight.bake` of the node where it is a mode, else of light `light` of `list`. On a node, false speaks of
+/// its mesh.
+pub(super) fn bake_mode(reader: &mut Reader, list: &str, light: usize, node: usize) -> BakeMode {
     let on_node = reader.extras("nodes", node).and_then(|e| e.get("bake")).filter(|v| v.is_string());
-    let Some(value) = on_node.or_else(|| reader.extras("lights", light)?.get("bake")) else {
+    let Some(value) = on_node.or_else(|| reader.extras(list, light)?.get("bake")) else {
         return BakeMode::default();
     };
     match value {
@@ -85,7 +97,7 @@ fn bake_mode(reader: &mut Reader, light: usize, node: usize) -> BakeMode {
             Some("indirect") => BakeMode::Indirect,
             Some("off") => BakeMode::Off,
             _ => {
-                let label = reader.label("lights", light);
+                let label = reader.label(list, light);
                 reader.warn(
                     "odd-extras",
                     format!("{label}: extras evenlight.bake is {value}, not full, indirect or off"),

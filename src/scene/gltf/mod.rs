@@ -11,6 +11,7 @@
 mod accessor;
 mod container;
 mod extension;
+mod ies;
 mod light;
 mod material;
 mod node;
@@ -114,6 +115,7 @@ fn load_document(path: &Path, bytes: &[u8], options: &LoadOptions) -> Result<Sce
         cameras: tree.cameras,
         sky: tree.sky,
         warnings,
+        changed: Vec::new(),
         source: document,
     })
 }

@@ -1,7 +1,7 @@
 //! The node tree of one scene: world transforms, instances, and what nodes carry besides meshes.
 
-use super::light;
 use super::reader::{REPAIR, Reader};
+use super::{ies, light};
 use crate::error::SceneError;
 use crate::scene::{Camera, Instance, Light, Projection, Sky};
 use glam::{DAffine3, DMat4, DQuat, DVec3, Vec3};
@@ -14,6 +14,7 @@ pub(super) struct Tree {
     /// Their `mesh` is the index in the document.
     pub(super) instances: Vec<Instance>,
     pub(super) lights: Vec<Light>,
+    profiles: ies::Profiles,
     pub(super) cameras: Vec<Camera>,
     pub(super) sky: Option<Sky>,
 }
@@ -50,7 +51,7 @@ pub(super) fn walk(reader: &mut Reader) -> Result<Tree, SceneError> {
         let visible = visible && is_visible(&node);
         if visible {
             read_node(reader, &mut tree, index, &node, world_from_node)?;
-        } else if node.mesh.is_some() || light_of(&node).is_some() {
+        } else if node.mesh.is_some() || LightsOf::new(&node).any() {
             hidden += 1;
         }
         // Seen or not, a node can be looked from.
@@ -76,9 +77,26 @@ fn is_visible(node: &json::Node) -> bool {
     extension.and_then(|e| e.get("visible")) != Some(&Value::Bool(false))
 }
 
-/// Index of the light at a node.
-fn light_of(node: &json::Node) -> Option<usize> {
-    node.extensions.as_ref()?.khr_lights_punctual.as_ref().map(|l| l.light.value())
+/// The lights at a node.
+struct LightsOf<'n> {
+    /// Of EXT_lights_ies.
+    profiled: Option<&'n Value>,
+    /// Index of that of KHR_lights_punctual.
+    punctual: Option<usize>,
+}
+
+impl LightsOf<'_> {
+    fn new(node: &json::Node) -> LightsOf<'_> {
+        let extensions = node.extensions.as_ref();
+        LightsOf {
+            profiled: extensions.and_then(|e| e.others.get("EXT_lights_ies")),
+            punctual: extensions.and_then(|e| e.khr_lights_punctual.as_ref()).map(|l| l.light.value()),
+        }
+    }
+
+    fn any(&self) -> bool {
+        self.profiled.is_some() || self.punctual.is_some()
+    }
 }
 
 /// Index of the scene to bake, if the file has any.
@@ -176,7 +194,15 @@ fn read_node(
             reader.warn("odd-transform", format!("{label} is scaled to nothing or to infinity; its mesh is left out"));
         }
     }
-    if let Some(light) = light_of(node) {
+    let lights = LightsOf::new(node);
+    if let Some(extension) = lights.profiled {
+        if lights.punctual.is_some() {
+            let which =
+                "two lights, of EXT_lights_ies and of KHR_lights_punctual; the first is taken, as the same better";
+            reader.warn("two-lights", format!("{label} has {which}"));
+        }
+        tree.lights.extend(ies::read(reader, &mut tree.profiles, extension, index, world_from_node)?);
+    } else if let Some(light) = lights.punctual {
         tree.lights.extend(light::read(reader, light, index, world_from_node)?);
     }
     Ok(())

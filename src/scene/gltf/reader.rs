@@ -1,6 +1,7 @@
 //! What all readers share: checked access to the JSON's objects, and the warnings found on the way.
 
 use super::Document;
+use super::ies::PROFILES;
 use crate::error::{SceneError, Warning};
 use serde::Deserialize;
 use serde_json::Value;
@@ -48,10 +49,12 @@ impl<'d> Reader<'d> {
         }
     }
 
-    /// The top-level array `list`, empty where the file has none. `lights` are those of KHR_lights_punctual.
+    /// The top-level array `list`, empty where the file has none. `lights` are those of KHR_lights_punctual,
+    /// [`PROFILES`] those of EXT_lights_ies.
     pub(super) fn list(&self, list: &str) -> Result<&'d [Value], SceneError> {
         let found = match list {
             "lights" => self.document.json.pointer("/extensions/KHR_lights_punctual/lights"),
+            PROFILES => self.document.json.pointer("/extensions/EXT_lights_ies/lights"),
             _ => self.document.json.get(list),
         };
         match found {
