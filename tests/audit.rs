@@ -39,6 +39,7 @@ fn audit_furnace(effort: Effort, planted: impl Fn(usize) -> f64) -> Audit {
         seed: 7,
         light: stage.light(&visibility, &open),
         total: &Halves { odd: map.clone(), even: map },
+        caustics: None,
         weights: &weights,
         whole: true,
         crevice: 0.0,
@@ -64,7 +65,7 @@ fn a_true_map_has_no_error_and_a_planted_error_is_found() {
 
     // What is stated is raised to it, and what the halves did not show falls as photons get more.
     let stated = TexelError { percent: 1.0, low: 0.9, high: 1.1, mean: 1.0, ..TexelError::default() };
-    let unseen = rough.unseen(&stated, 1000).expect("more than stated");
+    let unseen = rough.unseen(&stated, 0.0, 1000).expect("more than stated");
     let raised = stated.raised(&unseen);
     for (is, expected) in [(raised.percent, rough.error_percent), (raised.low, low), (raised.high, high)] {
         assert!((is / expected - 1.0).abs() < 1e-9, "{raised:?}");
@@ -72,7 +73,7 @@ fn a_true_map_has_no_error_and_a_planted_error_is_found() {
     let later = stated.with(&unseen, 8000);
     assert!((later.unseen / unseen.square.sqrt() - 8f64.powf(-0.3)).abs() < 1e-9, "{later:?}");
     assert!(later.low < later.percent && later.percent < later.high && later.high < raised.high, "{later:?}");
-    assert_eq!(right.unseen(&stated, 1000), None);
+    assert_eq!(right.unseen(&stated, 0.0, 1000), None);
 
     // 2 % too little everywhere: the halves agree, and nothing but an audit can tell.
     let dark = audit_furnace(Effort::Texels(400), |_| -0.02);

@@ -402,7 +402,7 @@ fn what_is_wrong_in_a_file_is_named_with_its_line() {
     for (text, what) in [
         (
             "seed = 1\n\ntarget-precent = 5\n",
-            "bake.toml: line 3: `bake` has no option `target-precent`; it has target-percent",
+            "bake.toml: line 3: `bake` has no option `target-precent`; it has variant, target-percent",
         ),
         ("config = \"other.toml\"\n", "line 1: `bake` has no option `config`"),
         ("\nseed = \"x\"\n", "line 2: invalid value 'x' for '--seed <SEED>'"),

@@ -53,21 +53,52 @@ fn expect_blocks(scene: &Scene, seeds: u64, e: impl Fn(DVec3) -> f64) {
     }
 }
 
+/// A lamp over the floor and its image in the mirror at x = -2.
+const LAMP: DVec3 = DVec3::new(0.5, 1.0, -0.25);
+const IMAGE: DVec3 = DVec3::new(-4.5, 1.0, -0.25);
+
+/// A black floor and a lamp before a wall of `material`, whose image every point of the floor sees in whole.
+fn before_a_mirror(material: Material) -> Scene {
+    let mut b = Builder::new(PAGE);
+    black_floor(&mut b);
+    let mirror = b.material(material);
+    b.quad("mirror", Vec3::new(-2.0, 0.0, -2.25), Vec3::Y, Vec3::Z * 4.5, mirror, [8, 36]);
+    b.point_light(LAMP.as_vec3(), 100.0);
+    b.finish()
+}
+
+/// What the image of the lamp sends to a point of the floor.
+fn mirrored(p: DVec3) -> f64 {
+    let cosine = (p - IMAGE).normalize().x;
+    (0.6 + 0.4 * (1.0 - cosine).powi(5)) * point_irradiance(p, DVec3::Y, IMAGE, 100.0)
+}
+
 /// A lamp before a mirror shines twice: itself, and as its image behind the mirror, by the mirror's Fresnel term.
 #[test]
 fn a_mirror_shows_a_lamp() {
-    let (lamp, image) = (DVec3::new(0.5, 1.0, -0.25), DVec3::new(-4.5, 1.0, -0.25));
-    let mut b = Builder::new(PAGE);
-    black_floor(&mut b);
-    let mirror = b.material(metal([0.6; 3], 0.0));
-    // Every point of the floor sees the whole of it.
-    b.quad("mirror", Vec3::new(-2.0, 0.0, -2.25), Vec3::Y, Vec3::Z * 4.5, mirror, [8, 36]);
-    b.point_light(lamp.as_vec3(), 100.0);
-    expect_blocks(&b.finish(), 48, |p| {
-        let cosine = (p - image).normalize().x;
-        let fresnel = 0.6 + 0.4 * (1.0 - cosine).powi(5);
-        point_irradiance(p, DVec3::Y, lamp, 100.0) + fresnel * point_irradiance(p, DVec3::Y, image, 100.0)
-    });
+    let scene = before_a_mirror(metal([0.6; 3], 0.0));
+    expect_blocks(&scene, 48, |p| point_irradiance(p, DVec3::Y, LAMP, 100.0) + mirrored(p));
+}
+
+/// Half a metal throws half of that, and spreads the rest.
+#[test]
+fn half_a_mirror_throws_half() {
+    let scene = before_a_mirror(Material { metallic: 0.5, ..metal([0.6; 3], 0.0) });
+    let quad = QuadMap::of(&scene, 0, PAGE);
+    let midpoint = |i: i32| {
+        let (x, y) = (f64::from(i % 256) + 0.5, f64::from(i / 256) + 0.5);
+        0.5 * mirrored(quad.corner + quad.u * (x / 256.0) + quad.v * (y / 256.0))
+    };
+    let expected = (0..256 * 256).map(midpoint).sum::<f64>() / 65536.0;
+    let thrown: Vec<f64> = (0..48)
+        .map(|seed| {
+            let bake = run(&scene, &BakeOptions { seed, ..one_round(PAGE) });
+            let caustics = &bake.solution.caustics.as_ref().expect("a mirror throws light").stored;
+            let e: Vec<Vec3> = (0..bake.texels.mapped).map(|t| caustics.mean(t)).collect();
+            node_mean(&bake, &e, 0)
+        })
+        .collect();
+    expect_mean("floor", &thrown, expected, 0.03, 1);
 }
 
 /// Share that a dielectric reflects, by Fresnel's equations in angles.
@@ -162,6 +193,19 @@ fn glittering() -> Scene {
 #[test]
 fn paths_find_the_specular_light_of_photons() {
     let scene = glittering();
+    let smooth = BakeOptions { smoothing: Smoothing::Cells, max_photons: Some(1 << 20), ..one_round(PAGE) };
+    let bake = run(&scene, &BakeOptions { target_percent: 5.0, audit: Audits::Texels(1000), ..smooth });
+    let audit = bake.solution.audit.expect("audited");
+    let off = audit.mean_difference_percent / audit.mean_difference_deviation;
+    assert!(off.abs() < 4.0 && audit.mean_difference_deviation < 0.4, "{audit:?}");
+}
+
+/// So they do where a mirror throws light on a wall that has no map.
+#[test]
+fn light_thrown_on_what_has_no_map_is_not_lost() {
+    let mut scene = glittering();
+    // The wall that the mirror throws the sun at.
+    scene.instances[1].bake = false;
     let smooth = BakeOptions { smoothing: Smoothing::Cells, max_photons: Some(1 << 20), ..one_round(PAGE) };
     let bake = run(&scene, &BakeOptions { target_percent: 5.0, audit: Audits::Texels(1000), ..smooth });
     let audit = bake.solution.audit.expect("audited");

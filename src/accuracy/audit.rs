@@ -2,10 +2,11 @@
 //!
 //! Each texel gets two estimates V1, V2 of its irradiance E that know nothing of each other nor of the map. The
 //! noise of both cancels in the mean of (X - V1)(X - V2), which is that of (X - E)^2: the squared error of what is
-//! stored, X, with all that the halves cannot show. No photons, cells or caches take part; geometry, materials,
-//! emitters and the open shares of texels are the ones that the map was made with.
+//! stored, X, with all that the halves cannot show. No photons, cells or caches take part, but for caustics: light from
+//! lamps over mirrors and through solid glass, which paths from the texels cannot find, is taken as the map has it.
+//! Geometry, materials, emitters and the open shares of texels are the ones that the map was made with.
 
-use super::estimate::{Halves, TexelError, TexelWeights, Unseen, spread};
+use super::estimate::{Caustics, Halves, TexelError, TexelWeights, Unseen, spread};
 use super::interval::{Moments, TWO_SIDED_95};
 use crate::accel::{Hit, Ray, offset_origin};
 use crate::atlas::TexelSampler;
@@ -91,9 +92,10 @@ pub struct Audit {
 }
 
 impl Audit {
-    /// What it found beyond `stated`, where that is sure; `photons` had been shot.
-    pub fn unseen(&self, stated: &TexelError, photons: u64) -> Option<Unseen> {
-        let seen = stated.percent.powi(2) - stated.unseen.powi(2);
+    /// What it found beyond `stated`, where that is sure; `photons` had been shot. `blind` is the squared error, in percent
+    /// squared, of what it takes as the map has it: caustics.
+    pub fn unseen(&self, stated: &TexelError, blind: f64, photons: u64) -> Option<Unseen> {
+        let seen = stated.percent.powi(2) - stated.unseen.powi(2) - blind;
         let square = self.error_percent.powi(2) - seen;
         let deviation = self.resolution_percent.powi(2) / TWO_SIDED_95;
         (self.verdict == Verdict::Raised).then_some(Unseen { square, deviation, photons })
@@ -109,8 +111,8 @@ pub struct Auditor<'a> {
     pub light: TexelLight<'a>,
     /// The map.
     pub total: &'a Halves,
-    /// Of it what came from lamps over mirrors and through glass, which paths do not find: it is taken as it is.
-    pub caustic: Option<&'a Halves>,
+    /// What came from lamps over mirrors and through glass, which paths do not find: it is taken as the map has it.
+    pub caustics: Option<&'a Caustics>,
     /// How its texels count.
     pub weights: &'a TexelWeights,
     /// Mean over the whole of each texel, not its open part alone.
@@ -230,7 +232,7 @@ impl Auditor<'_> {
                 squares += f64::from(light.length_squared());
             }
             let n = paths as f32;
-            *value = sum / (n * open.max(1e-6)) + self.caustic.map_or(Vec3::ZERO, |c| c.mean(texel));
+            *value = sum / (n * open.max(1e-6)) + self.caustics.map_or(Vec3::ZERO, |c| c.stored.mean(texel));
             let scatter = squares / f64::from(n) - f64::from((sum / n).length_squared());
             out.scatter += scatter.max(0.0) / (6.0 * f64::from(open.max(1e-6)).powi(2));
         }
@@ -239,10 +241,10 @@ impl Auditor<'_> {
 
     /// Irradiance (lux) that lamps send over mirrors and through glass to where light arrives.
     fn caustic(&self, hit: &Hit, met: &Met, arriving: Vec3) -> Vec3 {
-        let Some(caustic) = self.caustic else { return Vec3::ZERO };
+        let Some(caustics) = self.caustics else { return Vec3::ZERO };
         let uv = self.light.visibility.world.hair_before(hit.triangle, Vec2::new(hit.u, hit.v), arriving);
-        let texel = self.light.texels.at(hit.triangle, met.back, uv).map(|t| t as usize);
-        texel.filter(|&t| t < self.light.texels.mapped).map_or(Vec3::ZERO, |t| caustic.mean(t))
+        let texel = self.light.texels.at(hit.triangle, met.back, uv);
+        texel.map_or(Vec3::ZERO, |t| caustics.everywhere.mean(t as usize))
     }
 
     /// Radiosity that comes back to `at` along `direction`, by one path.

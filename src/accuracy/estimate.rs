@@ -37,6 +37,15 @@ impl Halves {
     }
 }
 
+/// Light that came from lamps over mirrors and through glass alone.
+#[derive(Debug, Clone)]
+pub struct Caustics {
+    /// What of it is in the values of the texels of the map (lux).
+    pub stored: Halves,
+    /// Irradiance (lux) of the open part of every texel, on the map or not: what is reflected.
+    pub everywhere: Halves,
+}
+
 /// How much each texel of the map counts, and to whom it belongs.
 #[derive(Debug, Clone, Default)]
 pub struct TexelWeights {

@@ -17,7 +17,8 @@ mod plan;
 pub use audit::{Audit, Auditor, Effort, Verdict};
 pub use density::{DensityGoal, GridFall, chart_densities};
 pub use estimate::{
-    Halves, Known, MeshError, TexelError, TexelWeights, Unseen, block_variance, mesh_errors, spread, texel_error,
+    Caustics, Halves, Known, MeshError, TexelError, TexelWeights, Unseen, block_variance, mesh_errors, spread,
+    texel_error,
 };
 pub use interval::{Moments, TWO_SIDED_95, chi_square_quantile, normal_quantile};
 pub use plan::{

@@ -158,8 +158,8 @@ pub fn plan_meshes(missed: &[Missed], spared: usize, target: f64, photon_cost: f
     /// About half of the squared target for direct light, half for indirect light: estimates scatter, and one more round
     /// for a mesh that just missed its target costs more than it saves.
     const SHARE: f64 = 0.43;
-    /// Of the latter, what may be left in caustics.
-    const CAUSTIC_SHARE: f64 = 0.25;
+    /// ... and the rest for caustics.
+    const CAUSTIC_SHARE: f64 = 0.1;
     let alone = GATHER_SCATTER / (2.0 * SHARE * target * target);
     let bounded = |samples: f64| samples.clamp(*GATHER_RANGE.start(), *GATHER_RANGE.end()).ceil();
     let samples = |m: &Missed| match m.gathered {

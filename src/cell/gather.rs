@@ -37,7 +37,9 @@ pub struct Gather<'a> {
     pub direct: &'a Direct,
     /// Where direct light leaves from, of each half.
     pub starts: &'a [StartTable; 2],
-    /// Irradiance (lux) by photons, on the open part of each texel of the map, of each half.
+    /// Irradiance (lux) of every texel by light from lamps over mirrors and through glass alone, of each half.
+    pub caustics: Option<[&'a [Vec3]; 2]>,
+    /// Other indirect irradiance (lux) of the open part of each texel of the map, of each half.
     pub indirect: [&'a [Vec3]; 2],
     /// How far that is smoothed around each texel [frame units].
     pub blur: [&'a [f32]; 2],
@@ -136,6 +138,7 @@ impl Gather<'_> {
                 let sent =
                     if near { self.light.any_light(met, stream, rays).sent } else { self.sent_directly(half, texel) };
                 sum += carried * sent * weight;
+                sum += self.caustics.map_or(Vec3::ZERO, |c| carried * albedo * c[half][texel]);
                 // What is near would be looked up too blurred: a few bounces more, and it no longer matters.
                 let mapped = texel < texels.mapped;
                 let far = mapped && hit.t >= self.blur[half][texel];

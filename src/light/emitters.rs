@@ -533,7 +533,7 @@ fn triangle_bounds(world: &World, id: u32) -> Option<LightBounds> {
         power,
         axis: world.normals[id as usize],
         cos_spread: 1.0,
-        two_sided: flags.has(SurfaceFlags::DOUBLE_SIDED),
+        two_sided: world.material(id).double_sided,
         all_around: false,
     })
 }

@@ -47,7 +47,8 @@ pub struct Bins<'t> {
     world: &'t World<'t>,
     open: &'t [f32],
     halves: [Vec<[AtomicI64; 3]>; 2],
-    /// The same for light that came over mirrors and through glass alone; empty where nothing is specular.
+    /// The same for light that came over mirrors and through glass alone, of all texels, on the map or not; empty where
+    /// nothing is specular.
     caustics: [Vec<[AtomicI64; 3]>; 2],
     backs: Vec<AtomicI64>,
 }
@@ -59,10 +60,11 @@ impl<'t> Bins<'t> {
     /// Empty bins for the texels of the map, `open` the open share of each: where it is below 1, light between
     /// the texel and a surface that lies upon it is not counted.
     pub fn new(world: &'t World<'t>, texels: &'t Texels, open: &'t [f32]) -> Bins<'t> {
-        let empty = || (0..texels.mapped).map(|_| Default::default()).collect();
-        let caustics = if world.is_specular() { [empty(), empty()] } else { Default::default() };
+        let empty = |count: usize| (0..count).map(|_| Default::default()).collect();
+        let all = if world.is_specular() { texels.texels.len() } else { 0 };
+        let caustics = [empty(all), empty(all)];
         let backs = world.scene.instances.iter().map(|_| AtomicI64::new(0)).collect();
-        Bins { texels, world, open, halves: [empty(), empty()], caustics, backs }
+        Bins { texels, world, open, halves: [empty(texels.mapped), empty(texels.mapped)], caustics, backs }
     }
 
     /// Flux over the three channels that each instance's backs took up.
@@ -70,7 +72,7 @@ impl<'t> Bins<'t> {
         self.backs.iter().map(|b| b.load(Relaxed)).collect()
     }
 
-    /// Whether a photon comes from a surface that lies upon the texel.
+    /// Whether a photon comes from a surface that lies upon the texel of the map.
     fn cover_sends(&self, texel: usize, d: &Deposit) -> bool {
         let area = self.texels.texels[texel].area;
         let height = d.distance * self.world.normals[d.triangle as usize].dot(d.direction).abs();
@@ -82,9 +84,14 @@ impl<'t> Bins<'t> {
         sum_of(&self.halves[half][texel])
     }
 
-    /// Flux of light that came over mirrors and through glass alone; `None` where nothing is specular.
-    pub fn caustic_flux(&self, half: usize, texel: usize) -> Option<[i64; 3]> {
-        self.caustics[half].get(texel).map(sum_of)
+    /// Whether any light came over mirrors or through glass alone.
+    pub fn has_caustics(&self) -> bool {
+        self.caustics.iter().flatten().any(|bin| sum_of(bin) != [0; 3])
+    }
+
+    /// Flux of such light, of any texel.
+    pub fn caustic_flux(&self, half: usize, texel: usize) -> [i64; 3] {
+        self.caustics[half].get(texel).map_or([0; 3], sum_of)
     }
 }
 
@@ -99,12 +106,11 @@ impl DepositSink for Bins<'_> {
             self.backs[instance as usize].fetch_add(flux as i64, Relaxed);
         }
         for d in &trail.deposits {
-            if let Some(texel) = self.texels.at(d.triangle, d.back, d.uv)
-                && (texel as usize) < self.texels.mapped
-                && !self.cover_sends(texel as usize, d)
+            let bins = if d.caustic { &self.caustics[half] } else { &self.halves[half] };
+            if let Some(texel) = self.texels.at(d.triangle, d.back, d.uv).map(|t| t as usize)
+                && let Some(bin) = bins.get(texel)
+                && (texel >= self.texels.mapped || !self.cover_sends(texel, d))
             {
-                let bins = if d.caustic { &self.caustics } else { &self.halves };
-                let bin = &bins[half][texel as usize];
                 bin.iter().zip(d.flux).for_each(|(sum, flux)| {
                     sum.fetch_add(i64::from(flux), Relaxed);
                 });

@@ -8,6 +8,7 @@ use crate::accel::Ray;
 use crate::atlas::TexelSampler;
 use crate::light::{Direct, START_SLOTS, StartSlot, TexelLight};
 use crate::sampling::{DIMENSIONS, Stream, cosine_hemisphere, hash_mix, sobol, sobol_index_of_stratum, unit_f32};
+use crate::scene::SurfaceFlags;
 use glam::Vec2;
 use rayon::prelude::*;
 
@@ -102,12 +103,15 @@ impl Shooting<'_> {
         if task.texel.replace(texel) != Some(texel) {
             task.slots = std::array::from_fn(|slot| self.direct.start(net.half, texel, slot).copied());
             task.photons = 0;
+            let specular =
+                |triangle: u32| self.light.visibility.world.flags[triangle as usize].has(SurfaceFlags::SPECULAR);
+            task.glitters = self.light.texels.pieces_of(texel).iter().any(|p| specular(p.triangle));
         }
         let slot = stream.bits() as usize % START_SLOTS;
         task.photons += 1;
-        // What leaves in one direction always goes the same way: there each is moved.
-        let alike = task.slots[slot].is_some_and(|s| s.way().is_some());
-        if alike || task.photons.is_multiple_of(MOVE_EVERY) {
+        // What leaves as from a mirror always goes the same way: there each is moved, whichever way it would leave now. (If
+        // only those that do were moved, more and more would leave diffusely.)
+        if task.glitters || task.photons.is_multiple_of(MOVE_EVERY) {
             self.move_start(texel, slot, &mut stream, task);
         }
         let Some(start) = task.slots[slot] else { return };
@@ -156,6 +160,8 @@ struct Task {
     /// Where its photons start, and how many did.
     slots: [Option<StartSlot>; START_SLOTS],
     photons: u32,
+    /// Some of its surface is specular.
+    glitters: bool,
     /// The texel that the sampler holds.
     loaded: Option<usize>,
     sampler: TexelSampler,

@@ -12,8 +12,8 @@ pub struct StartTable {
 }
 
 impl StartTable {
-    /// Flux that leaves each texel by the half's own direct samples: area times the largest channel of rho E
-    /// [lux x frame units squared].
+    /// Flux that leaves each texel by the half's own direct samples: area times the largest channel of what is reflected,
+    /// diffusely or not [lux x frame units squared].
     pub fn new(texels: &Texels, direct: &Direct, half: usize) -> StartTable {
         let flux: Vec<f64> = texels
             .texels

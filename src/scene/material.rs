@@ -36,7 +36,7 @@ pub struct Material {
     pub solid: bool,
     /// Absorption in the solid (1/m).
     pub absorption: Vec3,
-    /// Both sides reflect and emit; otherwise the back absorbs.
+    /// Both sides reflect and emit; otherwise the back absorbs, but for glass.
     pub double_sided: bool,
     /// KHR_materials_unlit: blocks light, but neither emits nor reflects.
     pub unlit: bool,

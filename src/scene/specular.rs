@@ -64,41 +64,50 @@ pub struct Arrival {
     pub way: f32,
 }
 
-impl Specular {
-    /// Share of the light that is specular, at most.
-    fn most(&self) -> f32 {
-        self.metal + self.glass
+impl Arrival {
+    /// The same on a surface as flat as its triangle: where the shading normal sends light into it.
+    fn flat(&self) -> Arrival {
+        Arrival { shading: self.facing, ..*self }
     }
+}
 
+impl Specular {
     /// One way that light leaves, drawn by three random numbers in [0, 1); `None` where none does.
     ///
     /// The lobe is that of the glTF specification, appendix B: GGX with Smith's height-correlated masking, Schlick's
     /// Fresnel term for metals; glass has the exact one. It is drawn in proportion to the visible normals (Heitz, JCGT
     /// 2018; Dupuy and Benyoub, CGF 2023), and light that a second facet would get is lost, as in that specification.
     pub fn bounce(&self, at: &Arrival, u: [f32; 3]) -> Option<Bounce> {
-        let most = self.most();
-        let pick = u[0] * most;
+        let most = self.metal + self.glass;
         let v = -at.direction;
-        if most <= 0.0 || at.shading.dot(v) <= 0.0 {
+        if most <= 0.0 || at.facing.dot(v) <= 0.0 {
             return None;
+        }
+        if at.shading.dot(v) <= 0.0 {
+            return self.bounce(&at.flat(), u);
         }
         let smooth = self.alpha < SMOOTH;
         let facet = if smooth { at.shading } else { self.visible_facet(at.shading, v, Vec2::new(u[1], u[2])) };
         let cosine = facet.dot(v).clamp(0.0, 1.0);
-        let mut share = Vec3::splat(most);
+        let by_metal = || self.metal_color + (Vec3::ONE - self.metal_color) * (1.0 - cosine).powi(5);
         let mut through = false;
-        if pick < self.metal {
-            share *= self.metal_color + (Vec3::ONE - self.metal_color) * (1.0 - cosine).powi(5);
-        } else if !self.solid {
-            // What passes straight is told by the normal alone, and both are to be all of it.
-            share *= pane_reflectance(at.shading.dot(v).min(1.0), self.ior);
-        } else {
+        let mut share = if self.solid {
+            // One of the ways is taken, by its share.
+            let pick = u[0] * most;
             let beyond = if at.back { 1.0 / self.ior } else { self.ior };
-            through = (pick - self.metal) >= self.glass * reflectance(cosine, beyond);
-            if through {
-                share *= self.tint;
+            through = pick >= self.metal + self.glass * reflectance(cosine, beyond);
+            most * if pick < self.metal {
+                by_metal()
+            } else if through {
+                self.tint
+            } else {
+                Vec3::ONE
             }
-        }
+        } else {
+            // What passes straight is told by the geometric normal, and both are to be all of it.
+            let by_pane = pane_reflectance(at.facing.dot(v).min(1.0), self.ior);
+            self.metal * by_metal() + Vec3::splat(self.glass * by_pane)
+        };
         // Index before over that beyond.
         let indices = if at.back { self.ior } else { 1.0 / self.ior };
         let (direction, narrowing) = if through {
@@ -109,8 +118,11 @@ impl Specular {
         let direction = direction.normalize();
         let side = if through { -1.0 } else { 1.0 };
         let leaves = |n: Vec3| side * n.dot(direction) > 0.0;
-        if !leaves(at.facing) || !leaves(at.shading) {
+        if !leaves(at.shading) {
             return None;
+        }
+        if !leaves(at.facing) {
+            return if at.shading == at.facing { None } else { self.bounce(&at.flat(), u) };
         }
         if !smooth {
             let [seen, lit] = [v, direction].map(|w| masking(at.shading.dot(w).abs(), self.alpha));

@@ -31,7 +31,7 @@ impl Solver<'_, '_> {
             seed: self.options.seed,
             light: self.path.light(self.options.normals == Normals::Smooth),
             total: &solution.total,
-            caustic: solution.caustic.as_ref(),
+            caustics: solution.caustics.as_ref(),
             weights: &solution.weights,
             whole: self.options.texel_value == TexelValue::Mean,
             crevice: self.path.surface.crevice,
@@ -48,8 +48,10 @@ impl Solver<'_, '_> {
 
     /// Raises the stated error of `solution`, and of all that follow, to what its audit found where that is surely more.
     pub(super) fn believe_audit(&mut self, solution: &mut Solution) {
+        let weight: f64 = solution.weights.weight.iter().sum();
+        let blind = solution.squares.caustic / weight.max(1e-300) * (100.0 / solution.error.mean.max(1e-300)).powi(2);
         let audit = solution.audit.as_ref().ok();
-        let Some(unseen) = audit.and_then(|a| a.unseen(&solution.error, self.photons * 2)) else { return };
+        let Some(unseen) = audit.and_then(|a| a.unseen(&solution.error, blind, self.photons * 2)) else { return };
         solution.error = solution.error.raised(&unseen);
         if let Some(last) = self.history.last_mut() {
             (last.percent, last.low, last.high) = (solution.error.percent, solution.error.low, solution.error.high);

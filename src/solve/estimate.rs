@@ -55,11 +55,13 @@ impl Solver<'_, '_> {
         let caught = self.caught();
         let mut found = self.reconstruct(&caught);
         let caustic = self.caustic_light();
-        self.gather(&mut found, caustic.as_ref())?;
+        let caustics = caustic.as_ref().map(|c| self.caustics(c));
+        self.gather(&mut found, caustics.as_ref())?;
         let gathered = self.smooth_gathered(&mut found);
-        let caustic_halves = caustic.as_ref().map(|c| self.texel_halves(&c.found));
-        let indirect = self.texel_halves(&found);
-        let indirect = caustic_halves.as_ref().map_or_else(|| indirect.clone(), |c| indirect.plus(c));
+        let mut indirect = self.texel_halves(&found);
+        if let Some(c) = &caustics {
+            indirect = indirect.plus(&c.stored);
+        }
         let DirectLight { apart, soft } = self.direct_light(&indirect);
         let direct = soft.as_ref().map_or_else(|| apart.clone(), |soft| apart.plus(&soft.halves));
         let total = direct.plus(&indirect);
@@ -105,7 +107,7 @@ impl Solver<'_, '_> {
         let (meshes, area_within_target) =
             mesh_errors(visibility.world, &total, &weights, &all_biases, error.mean, target);
         let mesh_percent = percentile_95(&meshes);
-        let parts = [soft.as_ref().map(|s| &s.halves), caustic_halves.as_ref()];
+        let parts = [soft.as_ref().map(|s| &s.halves), caustics.as_ref().map(|c| &c.stored)];
         let mut split = self.squares(&apart, parts, &indirect, &weights, &biases);
         split.iter_mut().zip(&gathered.biases).for_each(|(s, bias)| s.indirect += bias.likely());
         let squares = split.iter().fold(Squares::default(), |s, p| s + *p);
@@ -132,7 +134,7 @@ impl Solver<'_, '_> {
         Ok(Solution {
             total,
             indirect,
-            caustic: caustic_halves,
+            caustics,
             weights,
             error,
             meshes,

@@ -3,7 +3,7 @@
 
 use super::light::{Smooth, scattered};
 use super::{Solver, Surface};
-use crate::accuracy::{GATHER_AGAIN, block_variance};
+use crate::accuracy::{Caustics, GATHER_AGAIN, block_variance};
 use crate::cell::{Bias, Caught, Element, Gather, Gathered, NO_CELL, Node, Reconstruction, SurfaceTree};
 use crate::error::BakeError;
 use crate::options::Smoothing;
@@ -19,7 +19,7 @@ const SMOOTH_GAIN: f64 = 0.9;
 impl Solver<'_, '_> {
     /// Replaces the indirect light of the meshes that gather it: of those that were to begin when time ran out,
     /// none that is not done.
-    pub(super) fn gather(&mut self, found: &mut Reconstruction, caustic: Option<&Smooth>) -> Result<(), BakeError> {
+    pub(super) fn gather(&mut self, found: &mut Reconstruction, caustics: Option<&Caustics>) -> Result<(), BakeError> {
         let started = Instant::now();
         let Surface { tree, open, .. } = self.path.surface;
         let Some(starts) = self.starts.as_ref().filter(|_| self.gathered.iter().any(|&n| n > 0)) else { return Ok(()) };
@@ -42,20 +42,14 @@ impl Solver<'_, '_> {
             .map(|e| (e.texel, self.gathered[instance(e.texel)]))
             .collect();
         wanted.sort_by_key(|w| instance(w.0));
-        // All that photons brought is looked up.
-        let values = |h: usize, k: usize| {
-            let caustic = caustic.map(|c| &c.found);
-            let light = found.values[h][k] + caustic.map_or(Vec3::ZERO, |c| c.values[h][k]);
-            (light, found.sides[h][k].max(caustic.map_or(0.0, |c| c.sides[h][k])))
-        };
-        let looked_up = [0, 1].map(|h| (0..tree.elements.len()).map(|k| values(h, k)).unzip::<_, _, Vec<_>, Vec<_>>());
-        let indirect = looked_up.each_ref().map(|l| scattered(&tree.elements, &l.0, open.len(), Vec3::ZERO));
-        let blur = looked_up.each_ref().map(|l| scattered(&tree.elements, &l.1, open.len(), 0.0));
+        let indirect = [0, 1].map(|h| scattered(&tree.elements, &found.values[h], open.len(), Vec3::ZERO));
+        let blur = [0, 1].map(|h| scattered(&tree.elements, &found.sides[h], open.len(), 0.0));
         let gather = Gather {
             seed: self.options.seed,
             light: self.path.light(false),
             direct: &self.direct,
             starts,
+            caustics: caustics.map(|c| [c.everywhere.odd.as_slice(), &c.everywhere.even]),
             indirect: [&indirect[0], &indirect[1]],
             blur: [&blur[0], &blur[1]],
         };

@@ -2,7 +2,7 @@
 //! photons smoothed over cells, or gathered.
 
 use super::{LightPath, Solver, Surface};
-use crate::accuracy::Halves;
+use crate::accuracy::{Caustics, Halves};
 use crate::cell::{Caught, Compared, Element, Node, Reconstruction, Samples, SurfaceTree, refined};
 use crate::options::{Smoothing, TexelValue};
 use glam::Vec3;
@@ -84,18 +84,37 @@ impl Solver<'_, '_> {
     /// Light that came from lamps over mirrors and through glass alone, smoothed over cells of its own, for it has sharp
     /// edges where all else is smooth; `None` where there is none.
     pub(super) fn caustic_light(&self) -> Option<Smooth> {
-        self.bins.caustic_flux(0, 0)?;
-        let caught = self.caught_flux(|h, texel| self.bins.caustic_flux(h, texel).unwrap_or_default());
-        let any = caught.iter().any(|half| half.flux.iter().any(|f| *f != [0.0; 3]));
-        any.then(|| {
+        self.bins.has_caustics().then(|| {
+            let caught = self.caught_flux(|h, texel| self.bins.caustic_flux(h, texel));
             let found = self.reconstruct(&caught);
             Smooth { caught, found }
         })
     }
 
+    /// Caustics as the map has them, and as surface anywhere reflects them.
+    pub(super) fn caustics(&self, smooth: &Smooth) -> Caustics {
+        let LightPath { surface: Surface { tree, texels, open, .. }, .. } = self.path;
+        let per_photon = self.flux_per_photon();
+        let [odd, even] = [0, 1].map(|h| {
+            let mut light = scattered(&tree.elements, &smooth.found.values[h], open.len(), Vec3::ZERO);
+            // What has no place on the map is not smoothed.
+            light.extend((open.len()..texels.texels.len()).map(|texel| {
+                let flux = self.bins.caustic_flux(h, texel).map(|f| (f as f64 * per_photon) as f32);
+                Vec3::from(flux) / texels.texels[texel].area.max(f32::MIN_POSITIVE)
+            }));
+            light
+        });
+        Caustics { stored: self.texel_halves(&smooth.found), everywhere: Halves { odd, even } }
+    }
+
+    /// Flux that an integer step of a bin stands for [lux x frame units squared].
+    fn flux_per_photon(&self) -> f64 {
+        self.flux.map_or(0.0, |f| f.unit / self.photons.max(1) as f64)
+    }
+
     fn caught_flux(&self, flux: impl Fn(usize, usize) -> [i64; 3] + Sync) -> [Caught; 2] {
         let elements = &self.path.surface.tree.elements;
-        let per_photon = self.flux.map_or(0.0, |f| f.unit / self.photons.max(1) as f64);
+        let per_photon = self.flux_per_photon();
         let [odd, even] = self.start_totals();
         let photon = odd.max(even) / self.photons.max(1) as f64;
         [0, 1].map(|h| {

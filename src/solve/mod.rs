@@ -20,7 +20,7 @@ pub use surface::Surface;
 use forecast::{Falls, Outlook};
 
 use crate::accuracy::{
-    Audit, Halves, MeshError, Missed, Spent, TexelError, TexelWeights, Unseen, cheapest_growth, gather_rays,
+    Audit, Caustics, Halves, MeshError, Missed, Spent, TexelError, TexelWeights, Unseen, cheapest_growth, gather_rays,
     plan_meshes,
 };
 use crate::cell::Gathered;
@@ -122,7 +122,7 @@ pub struct Solution {
     /// Of it reflected light.
     pub indirect: Halves,
     /// Of that what came straight from lamps over mirrors and through glass; `None` where nothing did.
-    pub caustic: Option<Halves>,
+    pub caustics: Option<Caustics>,
     /// Weights of the texels that are stored.
     pub weights: TexelWeights,
     /// Error of the whole.

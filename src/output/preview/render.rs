@@ -99,6 +99,7 @@ impl<F: Fn(&Ray) -> Option<Hit>> View<'_, F> {
                 return (light + throughput * sky, surface_seen);
             };
             let uv = Vec2::new(hit.u, hit.v);
+            let mut mirrored = None;
             let flags = self.world.flags[hit.triangle as usize];
             let back = ray.direction.dot(self.world.normals[hit.triangle as usize]) > 0.0;
             if !back || flags.has(SurfaceFlags::DOUBLE_SIDED) {
@@ -112,16 +113,19 @@ impl<F: Fn(&Ray) -> Option<Hit>> View<'_, F> {
                 let passed = surface.passed(normal.dot(way)) + surface.seen_through();
                 if metal.max_element() > passed.max_element() {
                     throughput *= metal;
-                    ray = self.mirrored(&hit, if back { -normal } else { normal }, way);
-                    continue;
+                    mirrored = Some(self.mirrored(&hit, if back { -normal } else { normal }, way));
+                } else {
+                    throughput *= passed;
                 }
-                throughput *= passed;
             }
             // Less than half a step of an 8-bit image is left.
             if throughput.max_element() < 1.0 / 512.0 {
                 break;
             }
-            ray.origin = self.behind(&ray, &hit);
+            match mirrored {
+                Some(back) => ray = back,
+                None => ray.origin = self.behind(&ray, &hit),
+            }
         }
         (light, surface_seen)
     }

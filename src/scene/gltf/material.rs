@@ -94,7 +94,7 @@ fn read_material(
     }
     if let Some(ior) = &extensions.ior {
         material.ior = ior.ior.0;
-        if !(1.0..f32::INFINITY).contains(&material.ior) {
+        if !(1.0..=MOST_IOR).contains(&material.ior) {
             reader.warn("odd-material", format!("{label} has the index of refraction {}; 1.5 is used", material.ior));
             material.ior = Material::default().ior;
         }
@@ -119,6 +119,9 @@ fn read_material(
     };
     Ok(material)
 }
+
+/// No glass refracts as much.
+const MOST_IOR: f32 = 10.0;
 
 /// True where the file itself gives the metallicFactor, whose default is 1.
 fn states_metallic(reader: &Reader, index: usize) -> bool {
