@@ -200,6 +200,8 @@ fn report(
             photons: solution.history.last().map_or(0, |h| h.photons),
             photon_rays: solution.ledger.rays,
             deposits: solution.ledger.deposits,
+            caustic_photons: solution.caustic_photons,
+            caustic_rays: solution.caustic_rays,
             gather_rays: solution.gather_rays,
             gathered_meshes: solution.gathered_meshes,
             ..Work::default()

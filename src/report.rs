@@ -128,6 +128,10 @@ pub struct Work {
     pub photon_rays: u64,
     /// Deposits of photons.
     pub deposits: u64,
+    /// Photons for caustics alone, of both halves.
+    pub caustic_photons: u64,
+    /// Rays of these.
+    pub caustic_rays: u64,
     /// Rays that gathered indirect light for meshes that photons are too slow for.
     pub gather_rays: u64,
     /// Number of such meshes.

@@ -7,7 +7,7 @@ use common::stage::Stage;
 use common::statistics::{expect_mean, mean_and_error};
 use evenlight::BakeOptions;
 use evenlight::light::{Direct, Visibility};
-use evenlight::photon::{Bins, Flux, Shooting, StartTable};
+use evenlight::photon::{Bins, Flux, PhotonKind, Shooting, StartTable};
 use evenlight::scene::Scene;
 use glam::{DVec3, Vec3};
 
@@ -137,7 +137,15 @@ fn photons_leave_a_texel_from_where_its_light_is() {
             let starts = [0, 1].map(|half| StartTable::new(&stage.texels, &direct, half));
             let flux = Flux::for_total(starts[0].total());
             let light = stage.light(&visibility, &[]);
-            let shooting = Shooting { seed, flux, starts: &starts, direct: &direct, light, crevice: 0.0 };
+            let shooting = Shooting {
+                kind: PhotonKind::Diffuse,
+                seed,
+                flux,
+                starts: &starts,
+                direct: &direct,
+                light,
+                crevice: 0.0,
+            };
             let bins = Bins::new(&stage.world, &stage.texels, &open);
             shooting.net(0, 0, 15, &bins);
             walls.map(|wall| bins.flux(0, wall)[0] as f64 * flux.unit / 32768.0)

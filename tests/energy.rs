@@ -9,7 +9,7 @@ use common::runs::one_round;
 use evenlight::accel::{Accel, Ray};
 use evenlight::light::Visibility;
 use evenlight::options::{DoubleSided, TexelValue};
-use evenlight::photon::{EnergyLedger, Photon, Trail, walk};
+use evenlight::photon::{EnergyLedger, Photon, PhotonKind, Trail, walk};
 use evenlight::scene::{Alpha, LightKind, Material, Scene, Sky, World};
 use evenlight::{Bake, BakeOptions};
 use glam::{Vec3, Vec4};
@@ -117,7 +117,7 @@ fn photons_weigh_the_same_all_the_way() {
             trail.deposits.clear();
             let direction = Vec3::from_array(std::array::from_fn(|_| random.normal() as f32));
             let ray = Ray { origin: world.frame.from_world(glam::DVec3::splat(2.2)), direction, t_max: f32::INFINITY };
-            let photon = Photon { ray, flux: [1 << 24, 1 << 23, 1 << 22], caustic: true };
+            let photon = Photon { ray, flux: [1 << 24, 1 << 23, 1 << 22], kind: PhotonKind::Diffuse, caustic: false };
             let mut ledger = EnergyLedger::default();
             walk(photon, &visibility, 0.0, || (random.unit() * 4_294_967_296.0) as u32, &mut trail, &mut ledger);
             assert_eq!(ledger.imbalance(), [0; 3], "{what}");

@@ -93,6 +93,14 @@ pub fn cheapest_growth(spent: &Spent, needed: f64) -> (f64, f64) {
     growth(scale * libm::exp2(high))
 }
 
+/// Share of the squared error allowed over all that caustics may take.
+pub const CAUSTIC_SHARE: f64 = 0.25;
+
+/// Factor (>= 1) on the photons for caustics that lowers their squared error by the factor `needed`.
+pub fn caustic_growth(needed: f64) -> f64 {
+    libm::pow(needed, 1.0 / SMOOTH_FALL).max(1.0)
+}
+
 /// A mesh above its target.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Missed {
@@ -119,6 +127,8 @@ pub struct Missed {
 pub struct MeshPlan {
     /// Factor on the photons, >= 1.
     pub photons: f64,
+    /// Factor on the photons for caustics, >= 1.
+    pub caustics: f64,
     /// (instance, factor on its direct samples).
     pub direct: Vec<(usize, f64)>,
     /// (instance, gather rays of each texel and half).
@@ -158,8 +168,6 @@ pub fn plan_meshes(missed: &[Missed], spared: usize, target: f64, photon_cost: f
     /// About half of the squared target for direct light, half for indirect light: estimates scatter, and one more round
     /// for a mesh that just missed its target costs more than it saves.
     const SHARE: f64 = 0.43;
-    /// ... and the rest for caustics.
-    const CAUSTIC_SHARE: f64 = 0.1;
     let alone = GATHER_SCATTER / (2.0 * SHARE * target * target);
     let bounded = |samples: f64| samples.clamp(*GATHER_RANGE.start(), *GATHER_RANGE.end()).ceil();
     let samples = |m: &Missed| match m.gathered {
@@ -169,7 +177,6 @@ pub fn plan_meshes(missed: &[Missed], spared: usize, target: f64, photon_cost: f
     };
     let cost = |m: &Missed| GATHER_RAY_COST * gather_rays(samples(m), m.texels);
     let photons_for = |m: &Missed| libm::pow(m.indirect / SHARE, 1.0 / SMOOTH_FALL);
-    let photons_for_caustics = |m: &Missed| libm::pow(m.caustic / CAUSTIC_SHARE, 1.0 / SMOOTH_FALL);
     // What is gathered errs by its rays, or by the light that they look up. In a few texels this is hard to tell, and
     // more rays cost next to nothing.
     let hungry = |m: &&Missed| {
@@ -177,17 +184,13 @@ pub fn plan_meshes(missed: &[Missed], spared: usize, target: f64, photon_cost: f
         m.gathered > 0 && by_rays && samples(m) > f64::from(m.gathered)
     };
     let waits = |m: &&Missed| m.gathered > 0 && !hungry(m);
-    let price = |m: &Missed| {
-        let looked_up = if waits(&m) { photon_cost * photons_for(m).max(GATHER_AGAIN as f64) } else { cost(m) };
-        looked_up.max(photon_cost * photons_for_caustics(m))
-    };
+    let price = |m: &Missed| if waits(&m) { photon_cost * photons_for(m).max(GATHER_AGAIN as f64) } else { cost(m) };
     let mut meshes: Vec<&Missed> = missed.iter().collect();
     meshes.sort_by(|a, b| price(b).total_cmp(&price(a)).then(a.instance.cmp(&b.instance)));
     let meshes = &meshes[spared.min(meshes.len())..];
     let dim = || meshes.iter().copied().filter(|m| m.indirect > SHARE);
 
     let least = dim().filter(waits).map(|m| photons_for(m).max(GATHER_AGAIN as f64)).fold(anyway, f64::max);
-    let least = meshes.iter().map(|m| photons_for_caustics(m)).fold(least, f64::max);
 
     // Photon growth that each of the others would need, the largest first: those above a line gather, the rest
     // wait for photons to grow up to it.
@@ -203,9 +206,12 @@ pub fn plan_meshes(missed: &[Missed], spared: usize, target: f64, photon_cost: f
         }
         gathered_cost += by_growth.get(k).map_or(0.0, |g| cost(g.1));
     }
+    // What direct and other indirect light leave of the squared target.
+    let left_for_caustics = |m: &Missed| 0.95 - m.direct.min(SHARE) - m.indirect.min(SHARE);
     let new = by_growth[..best.1].iter().map(|g| g.1);
     MeshPlan {
         photons: growth(best.1),
+        caustics: meshes.iter().map(|m| caustic_growth(m.caustic / left_for_caustics(m))).fold(1.0, f64::max),
         direct: meshes.iter().filter(|m| m.direct > SHARE).map(|m| (m.instance, m.direct / SHARE)).collect(),
         gather: new.chain(dim().filter(hungry)).map(|m| (m.instance, samples(m) as u32)).collect(),
     }

@@ -84,6 +84,11 @@ impl<'t> Bins<'t> {
         sum_of(&self.halves[half][texel])
     }
 
+    /// Empties the bins of such light.
+    pub fn forget_caustics(&mut self) {
+        self.caustics.iter_mut().flatten().flatten().for_each(|bin| *bin.get_mut() = 0);
+    }
+
     /// Whether any light came over mirrors or through glass alone.
     pub fn has_caustics(&self) -> bool {
         self.caustics.iter().flatten().any(|bin| sum_of(bin) != [0; 3])

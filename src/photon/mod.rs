@@ -18,4 +18,4 @@ pub use bins::{Bins, Deposit, DepositSink, Trail};
 pub use ledger::EnergyLedger;
 pub use net::{Flux, Shooting};
 pub use start::StartTable;
-pub use walk::{MAX_SURFACES, MOST_CREVICE_STEPS, Photon, walk};
+pub use walk::{MAX_SURFACES, MOST_CREVICE_STEPS, Photon, PhotonKind, walk};

@@ -3,12 +3,11 @@
 use super::bins::{DepositSink, Trail};
 use super::ledger::EnergyLedger;
 use super::start::StartTable;
-use super::walk::{Photon, walk};
+use super::walk::{Photon, PhotonKind, walk};
 use crate::accel::Ray;
 use crate::atlas::TexelSampler;
 use crate::light::{Direct, START_SLOTS, StartSlot, TexelLight};
 use crate::sampling::{DIMENSIONS, Stream, cosine_hemisphere, hash_mix, sobol, sobol_index_of_stratum, unit_f32};
-use crate::scene::SurfaceFlags;
 use glam::Vec2;
 use rayon::prelude::*;
 
@@ -51,6 +50,8 @@ impl Flux {
 /// Everything that photons of a round need.
 #[derive(Debug)]
 pub struct Shooting<'a> {
+    /// What the photons are for.
+    pub kind: PhotonKind,
     /// Seed of the bake.
     pub seed: u64,
     /// Integer unit of flux.
@@ -75,7 +76,7 @@ impl Shooting<'_> {
         let net = Net {
             half,
             bits,
-            key: hash_mix(hash_mix(self.seed, 0x7068_6f74_6f6e), net << 1 | half as u64),
+            key: hash_mix(hash_mix(self.seed, self.kind.key()), net << 1 | half as u64),
             weight: self.flux.weight(self.starts[half].total()),
         };
         (0..count.div_ceil(CHUNK))
@@ -103,18 +104,17 @@ impl Shooting<'_> {
         if task.texel.replace(texel) != Some(texel) {
             task.slots = std::array::from_fn(|slot| self.direct.start(net.half, texel, slot).copied());
             task.photons = 0;
-            let specular =
-                |triangle: u32| self.light.visibility.world.flags[triangle as usize].has(SurfaceFlags::SPECULAR);
-            task.glitters = self.light.texels.pieces_of(texel).iter().any(|p| specular(p.triangle));
         }
         let slot = stream.bits() as usize % START_SLOTS;
         task.photons += 1;
-        // What leaves as from a mirror always goes the same way: there each is moved, whichever way it would leave now. (If
-        // only those that do were moved, more and more would leave diffusely.)
-        if task.glitters || task.photons.is_multiple_of(MOVE_EVERY) {
+        // What leaves as from a mirror always goes the same way: caustics move for every photon.
+        if self.kind == PhotonKind::Caustic || task.photons.is_multiple_of(MOVE_EVERY) {
             self.move_start(texel, slot, &mut stream, task);
         }
         let Some(start) = task.slots[slot] else { return };
+        if self.kind == PhotonKind::Caustic && start.way().is_none() {
+            return;
+        }
 
         let (index, scramble) = (sobol_index_of_stratum(stratum, net.bits), net.key as u32);
         let mut dimension = 0;
@@ -130,7 +130,8 @@ impl Shooting<'_> {
         };
         let flux = start.color.map(|c| ((u64::from(c) * u64::from(net.weight) + 32767) / 65535) as u32);
         let caustic = start.way().is_some();
-        let photon = Photon { ray: Ray { origin, direction, t_max: f32::INFINITY }, flux, caustic };
+        let ray = Ray { origin, direction, t_max: f32::INFINITY };
+        let photon = Photon { ray, flux, kind: self.kind, caustic };
         walk(photon, self.light.visibility, self.crevice, random, &mut task.trail, &mut task.ledger);
     }
 
@@ -160,8 +161,6 @@ struct Task {
     /// Where its photons start, and how many did.
     slots: [Option<StartSlot>; START_SLOTS],
     photons: u32,
-    /// Some of its surface is specular.
-    glitters: bool,
     /// The texel that the sampler holds.
     loaded: Option<usize>,
     sampler: TexelSampler,

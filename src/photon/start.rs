@@ -2,6 +2,7 @@
 
 use crate::atlas::Texels;
 use crate::light::Direct;
+use crate::scene::{SurfaceFlags, World};
 use rayon::prelude::*;
 
 /// Cumulative start flux over the texels of one half. Texels stand in chart and Morton order, so that photons
@@ -15,11 +16,21 @@ impl StartTable {
     /// Flux that leaves each texel by the half's own direct samples: area times the largest channel of what is reflected,
     /// diffusely or not [lux x frame units squared].
     pub fn new(texels: &Texels, direct: &Direct, half: usize) -> StartTable {
+        StartTable::of(texels, direct, half, |_| true)
+    }
+
+    /// The same of the texels with specular surface alone: no caustic starts elsewhere.
+    pub fn of_specular(world: &World, texels: &Texels, direct: &Direct, half: usize) -> StartTable {
+        let specular = |triangle: u32| world.flags[triangle as usize].has(SurfaceFlags::SPECULAR);
+        StartTable::of(texels, direct, half, |i| texels.pieces_of(i).iter().any(|p| specular(p.triangle)))
+    }
+
+    fn of(texels: &Texels, direct: &Direct, half: usize, starts: impl Fn(usize) -> bool + Sync) -> StartTable {
         let flux: Vec<f64> = texels
             .texels
             .par_iter()
             .enumerate()
-            .map(|(i, t)| f64::from(t.area) * f64::from(direct.exitance(half, i)))
+            .map(|(i, t)| if starts(i) { f64::from(t.area) * f64::from(direct.exitance(half, i)) } else { 0.0 })
             .collect();
         let mut sum = 0.0;
         let cumulative = flux

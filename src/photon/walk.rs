@@ -25,8 +25,29 @@ pub struct Photon {
     pub ray: Ray,
     /// Flux per channel; the largest is the same for all photons of a net.
     pub flux: [u32; 3],
+    /// What it is shot for.
+    pub kind: PhotonKind,
     /// Nothing reflected it diffusely yet: it came from a lamp over mirrors and through glass alone.
     pub caustic: bool,
+}
+
+/// What photons are shot for. Caustics are few, and have photons of their own, as many as they need.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum PhotonKind {
+    /// Light that was reflected diffusely at least once; until then, a photon leaves nothing.
+    Diffuse,
+    /// Light that was not: the photon ends where it would be.
+    Caustic,
+}
+
+impl PhotonKind {
+    /// Sets the random numbers of both kinds apart.
+    pub fn key(self) -> u64 {
+        match self {
+            PhotonKind::Diffuse => 0x7068_6f74_6f6e,
+            PhotonKind::Caustic => 0x0063_6175_7374_6963,
+        }
+    }
 }
 
 /// Walks `photon` to its end. Gaps below `crevice` [frame units] keep it for a few steps only. `random` gives the
@@ -57,7 +78,8 @@ pub fn walk(
         }
         let uv = Vec2::new(hit.u, hit.v);
         let met = world.meet(hit.triangle, uv, photon.ray.direction);
-        if met.receives {
+        let wanted = photon.kind == PhotonKind::Caustic || !photon.caustic;
+        if met.receives && wanted {
             trail.deposits.push(Deposit {
                 triangle: hit.triangle,
                 back: met.back,
@@ -69,13 +91,17 @@ pub fn walk(
             });
             add(&mut ledger.deposited, photon.flux);
             ledger.deposits += 1;
-        } else if !met.passes {
+        }
+        if !met.receives && !met.passes {
             add(&mut ledger.back_absorbed, photon.flux);
-            trail.backs.push((hit.triangle, photon.flux.iter().map(|&f| u64::from(f)).sum()));
+            if photon.kind == PhotonKind::Diffuse {
+                trail.backs.push((hit.triangle, photon.flux.iter().map(|&f| u64::from(f)).sum()));
+            }
             return;
         }
         let bounce = world.bounce((hit.triangle, uv), &met, photon.ray.direction, hit.t, || unit_f32(random()));
-        let reflected = scale(photon.flux, met.reflected);
+        let ends = photon.kind == PhotonKind::Caustic;
+        let reflected = scale(photon.flux, if ends { Vec3::ZERO } else { met.reflected });
         let thrown = scale(photon.flux, bounce.map_or(Vec3::ZERO, |b| b.share));
         let passed = scale(photon.flux, met.passed);
         // Roulette by the largest channel: the photon goes on in one of the ways, as heavy as before.
@@ -117,7 +143,7 @@ pub fn walk(
             Way::Straight => (beyond(), photon.ray.direction),
         };
         let caustic = photon.caustic && !matches!(way, Way::Diffuse);
-        photon = Photon { ray: Ray { origin, direction, t_max: f32::INFINITY }, flux, caustic };
+        photon = Photon { ray: Ray { origin, direction, t_max: f32::INFINITY }, flux, caustic, ..photon };
     }
     add(&mut ledger.cut, photon.flux);
 }

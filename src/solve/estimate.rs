@@ -111,8 +111,7 @@ impl Solver<'_, '_> {
         let mut split = self.squares(&apart, parts, &indirect, &weights, &biases);
         split.iter_mut().zip(&gathered.biases).for_each(|(s, bias)| s.indirect += bias.likely());
         let squares = split.iter().fold(Squares::default(), |s, p| s + *p);
-        let by_photons = |i: usize| split[i].caustic + if self.has_gathered(i) { 0.0 } else { split[i].indirect };
-        let by_photons = (0..instances).map(by_photons).sum();
+        let by_photons = (0..instances).filter(|&i| !self.has_gathered(i)).map(|i| split[i].indirect).sum();
         let rays_noise = self.gather_noise(&weights);
         let missed = meshes.iter().filter(|m| m.error_percent > mesh_target).map(|m| {
             let Squares { apart, soft, indirect, caustic } = split[m.instance];
@@ -156,6 +155,8 @@ impl Solver<'_, '_> {
             rounds: Vec::new(),
             direct_samples: self.direct.all_samples(),
             direct_rays: self.direct.rays(),
+            caustic_photons: self.caustics.photons * 2,
+            caustic_rays: self.caustics.ledger.rays,
             gather_rays: self.gather_rays,
             gathered_meshes: (0..instances).filter(|&i| self.has_gathered(i)).count(),
             ledger: self.ledger,

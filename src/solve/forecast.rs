@@ -191,6 +191,7 @@ impl Solver<'_, '_> {
         let share = (left / self.amount(&round).times(&self.rates()).max(1e-9)).clamp(0.0, 1.0);
         if share < 1.0 {
             round.samples = (round.samples as f64 * share) as u64;
+            round.caustics = (round.caustics as f64 * share) as u64;
             round.photons = ((round.photons as f64 * share) as u64).next_multiple_of(1 << LEAST_NET_BITS);
             round.direct.iter_mut().for_each(|(_, factor)| *factor = 1.0 + (*factor - 1.0) * share);
         }
@@ -200,16 +201,17 @@ impl Solver<'_, '_> {
     fn done(&self) -> Work {
         Work {
             samples: self.direct.all_samples() as f64,
-            photon_rays: self.ledger.rays as f64,
+            photon_rays: self.photon_rays() as f64,
             gather_rays: self.gather_rays as f64,
         }
     }
 
     pub(super) fn amount(&self, round: &Round) -> Work {
         let per_photon = self.ledger.rays.max(1) as f64 / self.photons.max(1) as f64;
+        let per_caustic = self.caustics.ledger.rays as f64 / self.caustics.photons.max(1) as f64;
         Work {
             samples: round.samples as f64,
-            photon_rays: per_photon * round.photons as f64,
+            photon_rays: per_photon * round.photons as f64 + per_caustic * round.caustics as f64,
             gather_rays: self.gather_cost(&round.gather),
         }
     }

@@ -5,6 +5,7 @@ use super::{LightPath, Solver, Surface};
 use crate::accuracy::{Caustics, Halves};
 use crate::cell::{Caught, Compared, Element, Node, Reconstruction, Samples, SurfaceTree, refined};
 use crate::options::{Smoothing, TexelValue};
+use crate::photon::Flux;
 use glam::Vec3;
 use rayon::prelude::*;
 
@@ -78,14 +79,15 @@ impl Solver<'_, '_> {
 
     /// Flux that each element caught of diffusely reflected light, in two halves.
     pub(super) fn caught(&self) -> [Caught; 2] {
-        self.caught_flux(|h, texel| self.bins.flux(h, texel))
+        let photon = Step::new(self.flux, self.photons, self.start_totals());
+        self.caught_flux(&photon, |h, texel| self.bins.flux(h, texel))
     }
 
     /// Light that came from lamps over mirrors and through glass alone, smoothed over cells of its own, for it has sharp
     /// edges where all else is smooth; `None` where there is none.
     pub(super) fn caustic_light(&self) -> Option<Smooth> {
         self.bins.has_caustics().then(|| {
-            let caught = self.caught_flux(|h, texel| self.bins.caustic_flux(h, texel));
+            let caught = self.caught_flux(&self.caustic_step(), |h, texel| self.bins.caustic_flux(h, texel));
             let found = self.reconstruct(&caught);
             Smooth { caught, found }
         })
@@ -94,7 +96,7 @@ impl Solver<'_, '_> {
     /// Caustics as the map has them, and as surface anywhere reflects them.
     pub(super) fn caustics(&self, smooth: &Smooth) -> Caustics {
         let LightPath { surface: Surface { tree, texels, open, .. }, .. } = self.path;
-        let per_photon = self.flux_per_photon();
+        let per_photon = self.caustic_step().flux;
         let [odd, even] = [0, 1].map(|h| {
             let mut light = scattered(&tree.elements, &smooth.found.values[h], open.len(), Vec3::ZERO);
             // What has no place on the map is not smoothed.
@@ -107,20 +109,17 @@ impl Solver<'_, '_> {
         Caustics { stored: self.texel_halves(&smooth.found), everywhere: Halves { odd, even } }
     }
 
-    /// Flux that an integer step of a bin stands for [lux x frame units squared].
-    fn flux_per_photon(&self) -> f64 {
-        self.flux.map_or(0.0, |f| f.unit / self.photons.max(1) as f64)
+    fn caustic_step(&self) -> Step {
+        Step::new(self.caustics.flux, self.caustics.photons, self.caustics.totals)
     }
 
-    fn caught_flux(&self, flux: impl Fn(usize, usize) -> [i64; 3] + Sync) -> [Caught; 2] {
+    fn caught_flux(&self, step: &Step, flux: impl Fn(usize, usize) -> [i64; 3] + Sync) -> [Caught; 2] {
         let elements = &self.path.surface.tree.elements;
-        let per_photon = self.flux_per_photon();
-        let [odd, even] = self.start_totals();
-        let photon = odd.max(even) / self.photons.max(1) as f64;
         [0, 1].map(|h| {
-            let of = |texel: u32| flux(h, texel as usize).map(|f| (f as f64 * per_photon) as f32);
+            let of = |texel: u32| flux(h, texel as usize).map(|f| (f as f64 * step.flux) as f32);
             let flux: Vec<[f32; 3]> = elements.par_iter().map(|e| of(e.texel)).collect();
-            let variance: Vec<f64> = flux.iter().map(|f| f64::from(f.iter().sum::<f32>()) / 3.0 * photon).collect();
+            let variance: Vec<f64> =
+                flux.iter().map(|f| f64::from(f.iter().sum::<f32>()) / 3.0 * step.photon).collect();
             Caught { flux, variance, samples: None }
         })
     }
@@ -147,6 +146,21 @@ impl Solver<'_, '_> {
             out
         });
         Halves { odd, even }
+    }
+}
+
+/// What is in the bins, in flux [lux x frame units squared].
+struct Step {
+    /// Of an integer step.
+    flux: f64,
+    /// Of a photon.
+    photon: f64,
+}
+
+impl Step {
+    fn new(flux: Option<Flux>, photons: u64, [odd, even]: [f64; 2]) -> Step {
+        let photons = photons.max(1) as f64;
+        Step { flux: flux.map_or(0.0, |f| f.unit / photons), photon: odd.max(even) / photons }
     }
 }
 

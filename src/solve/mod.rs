@@ -20,15 +20,15 @@ pub use surface::Surface;
 use forecast::{Falls, Outlook};
 
 use crate::accuracy::{
-    Audit, Caustics, Halves, MeshError, Missed, Spent, TexelError, TexelWeights, Unseen, cheapest_growth, gather_rays,
-    plan_meshes,
+    Audit, CAUSTIC_SHARE, Caustics, Halves, MeshError, Missed, Spent, TexelError, TexelWeights, Unseen, caustic_growth,
+    cheapest_growth, gather_rays, plan_meshes,
 };
 use crate::cell::Gathered;
 use crate::error::BakeError;
 use crate::light::{Direct, Emitters, Growth, TexelLight, Visibility};
 use crate::observer::{Observer, Stage};
 use crate::options::{BakeOptions, Normals};
-use crate::photon::{Bins, EnergyLedger, Flux, Shooting, StartTable};
+use crate::photon::{Bins, EnergyLedger, Flux, PhotonKind, Shooting, StartTable};
 use crate::report::{HistoryEntry, RoundSeconds};
 use std::collections::HashMap;
 use std::time::Instant;
@@ -158,6 +158,10 @@ pub struct Solution {
     pub direct_samples: u64,
     /// Shadow rays of direct light.
     pub direct_rays: u64,
+    /// Photons for caustics alone, of both halves.
+    pub caustic_photons: u64,
+    /// Rays of these.
+    pub caustic_rays: u64,
     /// Rays that gathered indirect light.
     pub gather_rays: u64,
     /// Meshes whose indirect light was gathered.
@@ -199,6 +203,8 @@ struct Solver<'a, 'o> {
     photons: u64,
     nets: u64,
     ledger: EnergyLedger,
+    /// Photons that bring what lamps throw over mirrors and through glass.
+    caustics: CausticShots,
     /// What an audit found beyond the halves.
     unseen: Option<Unseen>,
     seconds: LightSeconds,
@@ -206,6 +212,18 @@ struct Solver<'a, 'o> {
     rounds: Vec<RoundSeconds>,
     last: Option<Outlook>,
     falls: Falls,
+}
+
+/// Photons for caustics alone.
+#[derive(Debug, Default)]
+struct CausticShots {
+    flux: Option<Flux>,
+    /// Start flux of each half, as the last round found it [lux x frame units squared].
+    totals: [f64; 2],
+    /// Per half.
+    photons: u64,
+    nets: u64,
+    ledger: EnergyLedger,
 }
 
 /// Solves until the targets of `options` are met or a limit binds. `began` is when the bake began.
@@ -241,6 +259,7 @@ pub fn solve(
         photons: 0,
         nets: 0,
         ledger: EnergyLedger::default(),
+        caustics: CausticShots::default(),
         unseen: None,
         seconds: LightSeconds::default(),
         history: Vec::new(),
@@ -258,6 +277,8 @@ struct Round {
     samples: u64,
     /// Photons per half.
     photons: u64,
+    /// Photons per half for caustics alone.
+    caustics: u64,
     /// (instance, factor) by which its direct samples are to grow.
     direct: Vec<(usize, f64)>,
     /// (instance, gather rays of each texel and half) from now on.
@@ -266,7 +287,7 @@ struct Round {
 
 impl Round {
     fn is_empty(&self) -> bool {
-        self.samples == 0 && self.photons == 0 && self.gather.is_empty()
+        self.samples == 0 && self.photons == 0 && self.caustics == 0 && self.gather.is_empty()
     }
 }
 
@@ -274,7 +295,9 @@ impl Solver<'_, '_> {
     fn run(&mut self) -> Result<Solution, BakeError> {
         let bits = (self.path.surface.texels.texels.len().max(1).ilog2())
             .clamp(*FIRST_NET_BITS.start(), *FIRST_NET_BITS.end());
-        let mut round = Round { samples: 1, photons: 1 << bits, ..Round::default() };
+        let specular = self.path.visibility.world.is_specular();
+        let caustics = if specular { 1 << bits } else { 0 };
+        let mut round = Round { samples: 1, photons: 1 << bits, caustics, ..Round::default() };
         loop {
             let mut solution = self.converge(round)?;
             solution.audit = self.audit(&solution)?;
@@ -350,6 +373,7 @@ impl Solver<'_, '_> {
             return Ok(Some(limit));
         }
         let limit = self.shoot(round.photons)?;
+        let limit = limit.or(self.shoot_caustics(round.caustics)?);
         Ok(limit.or_else(|| self.out_of_time().then_some("time-limit")))
     }
 
@@ -400,6 +424,7 @@ impl Solver<'_, '_> {
             self.bins = Bins::new(visibility.world, texels, open);
             self.ledger = EnergyLedger::default();
             self.photons = 0;
+            self.caustics = CausticShots::default();
             self.gathered_at.fill((0, 0));
             (self.falls, self.last) = (Falls::new(), None);
         }
@@ -415,7 +440,9 @@ impl Solver<'_, '_> {
                 break;
             }
             let bits = left.min(allowed).ilog2().clamp(LEAST_NET_BITS, LARGEST_NET_BITS);
-            let shooting = Shooting { seed, flux, starts: &starts, direct: &self.direct, light, crevice: *crevice };
+            let kind = PhotonKind::Diffuse;
+            let shooting =
+                Shooting { kind, seed, flux, starts: &starts, direct: &self.direct, light, crevice: *crevice };
             for (half, start) in starts.iter().enumerate() {
                 // A half whose direct samples found no light sends out nothing, but its photons count.
                 if start.total() > 0.0 {
@@ -437,6 +464,53 @@ impl Solver<'_, '_> {
         Ok(limit)
     }
 
+    /// Shoots `photons` per half for caustics alone; the limit that ended them early.
+    fn shoot_caustics(&mut self, photons: u64) -> Result<Option<&'static str>, BakeError> {
+        let LightPath { surface: Surface { texels, crevice, .. }, visibility, .. } = self.path;
+        let world = visibility.world;
+        // None are left where all bins were emptied.
+        let photons =
+            if self.caustics.photons == 0 && world.is_specular() { photons.max(1 << LEAST_NET_BITS) } else { photons };
+        if photons == 0 {
+            return Ok(None);
+        }
+        let mut started = Instant::now();
+        let starts = [0, 1].map(|h| StartTable::of_specular(world, texels, &self.direct, h));
+        self.caustics.totals = [starts[0].total(), starts[1].total()];
+        let total = starts[0].total().max(starts[1].total());
+        if total <= 0.0 {
+            return Ok(None);
+        }
+        if self.caustics.flux.is_some_and(|f| !f.holds(total)) {
+            self.bins.forget_caustics();
+            self.caustics = CausticShots { totals: self.caustics.totals, ..CausticShots::default() };
+        }
+        let flux = *self.caustics.flux.get_or_insert_with(|| Flux::for_total(total));
+        let (seed, light) = (self.options.seed, self.path.light(false));
+        let mut left = photons;
+        while left > 0 {
+            let bits = left.ilog2().clamp(LEAST_NET_BITS, LARGEST_NET_BITS);
+            let kind = PhotonKind::Caustic;
+            let shooting =
+                Shooting { kind, seed, flux, starts: &starts, direct: &self.direct, light, crevice: *crevice };
+            for (half, start) in starts.iter().enumerate() {
+                if start.total() > 0.0 {
+                    self.caustics.ledger += &shooting.net(half, self.caustics.nets, bits, &self.bins);
+                }
+            }
+            self.caustics.nets += 1;
+            self.caustics.photons += 1 << bits;
+            left = left.saturating_sub(1 << bits);
+            self.seconds.photons += started.elapsed().as_secs_f64();
+            started = Instant::now();
+            self.report_progress()?;
+            if left > 0 && self.out_of_time() {
+                return Ok(Some("time-limit"));
+            }
+        }
+        Ok(None)
+    }
+
     /// Start flux of each half, as the last round found it [lux x frame units squared].
     fn start_totals(&self) -> [f64; 2] {
         self.starts.as_ref().map_or([0.0; 2], |s| [s[0].total(), s[1].total()])
@@ -444,11 +518,16 @@ impl Solver<'_, '_> {
 
     /// Samples, photons and gather rays so far.
     fn work(&self) -> (u64, u64, u64) {
-        (self.direct.all_samples(), self.photons, self.gather_rays)
+        (self.direct.all_samples(), self.photons + self.caustics.photons, self.gather_rays)
     }
 
     fn rays(&self) -> u64 {
-        self.direct.rays() + self.ledger.rays + self.gather_rays
+        self.direct.rays() + self.photon_rays() + self.gather_rays
+    }
+
+    /// Rays of photons of both kinds.
+    fn photon_rays(&self) -> u64 {
+        self.ledger.rays + self.caustics.ledger.rays
     }
 
     /// Rays that a round takes.
@@ -483,12 +562,17 @@ impl Solver<'_, '_> {
         let spent = Spent {
             direct: s.squares.apart,
             soft: s.squares.soft,
-            indirect: s.squares.indirect + s.squares.caustic + unseen,
+            indirect: s.squares.indirect + unseen,
             falls: [self.falls.soft.exponent(), self.falls.indirect.exponent()],
             direct_cost: SAMPLE_COST * samples,
             photon_cost: self.ledger.rays.max(1) as f64,
         };
         let needed = (s.error.high / target).powi(2);
+        // Caustics have photons of their own: these are to leave a small share of what is allowed.
+        let (others, thrown) = (spent.direct + spent.soft + spent.indirect, s.squares.caustic);
+        let allowed = (others + thrown) / needed;
+        let mut z = caustic_growth(thrown / (CAUSTIC_SHARE * allowed).max(1e-300));
+        let needed = others / (allowed - thrown.min(CAUSTIC_SHARE * allowed));
         // All the way, and as far as this round goes.
         let (x_all, y_all) = cheapest_growth(&spent, needed);
         let (x, mut y) = cheapest_growth(&spent, needed.min(most));
@@ -497,6 +581,7 @@ impl Solver<'_, '_> {
             // What a mesh needs beyond that: most of them get better with the whole.
             let plan = plan_meshes(&s.missed, s.meshes.len() / 20, mesh_target / 100.0, spent.photon_cost, y_all);
             y *= plan.photons / y_all;
+            z = z.max(plan.caustics);
             // Light is gathered from what photons found: not before that is about good enough by itself. A look all the
             // way counts it.
             if s.error.high <= GATHER_FROM * target || most.is_infinite() {
@@ -510,6 +595,7 @@ impl Solver<'_, '_> {
         if self.flux.is_some() {
             round.photons = (self.photons as f64 * (y - 1.0)).ceil().min(1e18) as u64;
         }
+        round.caustics = (self.caustics.photons as f64 * (z - 1.0)).ceil().min(1e18) as u64;
         Some(round)
     }
 
@@ -518,6 +604,9 @@ impl Solver<'_, '_> {
         let most = |n: u64| (n as f64 * (MOST_GROWTH - 1.0)) as u64;
         wish.samples = wish.samples.min(most(self.direct.all_samples()));
         wish.photons = wish.photons.min(most(self.photons)).next_multiple_of(1 << LEAST_NET_BITS);
+        let caustics_left =
+            self.options.max_photons.map_or(u64::MAX, |m| (m / 2).saturating_sub(self.caustics.photons));
+        wish.caustics = wish.caustics.min(most(self.caustics.photons)).min(caustics_left);
         // The cheapest meshes first, for about as many rays as the rest of the round may take; one at least where there
         // is nothing else to do.
         let allowed = most(self.rays()) as f64;
