@@ -233,20 +233,25 @@ fn what_is_gathered_comes_over_mirrors_and_through_glass() {
     b.scene_mut().instances.iter_mut().skip(3).for_each(|i| i.weight = 0.0);
     let scene = b.finish();
     let (mut meshes, mut differences) = (0, Vec::new());
-    for seed in 0..6 {
+    for seed in 0..16 {
         let options = BakeOptions {
             target_percent: 40.0,
             target_mesh_percent: Some(12.0),
             smoothing: Smoothing::Cells,
             audit: Audits::Texels(200),
+            max_photons: Some(1 << 20),
             seed,
             ..one_round(PAGE)
         };
         let bake = run(&scene, &options);
+        // Where all first samples missed the light, the audit says so and the limit binds.
+        if bake.report.limit.is_some() {
+            continue;
+        }
         meshes += bake.report.work.gathered_meshes;
         differences.push(bake.solution.audit.expect("audited").mean_difference_percent);
     }
-    assert!(meshes >= 6, "only {meshes} times a thing gathered");
+    assert!(meshes >= 8, "only {meshes} times a thing gathered");
     // Their own noise is part of how far they scatter.
     let (mean, deviation) = mean_and_error(&differences);
     assert!(mean.abs() < 5.0 * deviation && deviation < 2.0, "{mean} +- {deviation} %: {differences:?}");
