@@ -8,7 +8,7 @@
 
 use super::estimate::{Caustics, Halves, TexelError, TexelWeights, Unseen, spread};
 use super::interval::{Moments, TWO_SIDED_95};
-use crate::accel::{Hit, Ray, offset_origin};
+use crate::accel::{Hit, Ray};
 use crate::atlas::TexelSampler;
 use crate::light::{Receiver, SAMPLE_DIMENSIONS, TexelLight};
 use crate::photon::MOST_CREVICE_STEPS;
@@ -276,18 +276,17 @@ impl Auditor<'_> {
             let whole = (r + s + p).max(1e-30);
             let alive = whole.min(1.0);
             let pick = stream.unit() * (whole / alive);
-            let beyond = || offset_origin(world.position(hit.triangle, uv), -facing, world.extent(hit.triangle));
             if pick < r {
                 carried *= albedo * (whole / (r * alive));
                 let direction = cosine_hemisphere(facing, Vec2::new(stream.unit(), stream.unit()));
                 ray = Ray { origin: lit.origin, direction, t_max: f32::INFINITY };
             } else if let Some(b) = bounce.filter(|_| pick < r + s) {
                 carried *= thrown * (whole / (s * alive));
-                let origin = if b.through { beyond() } else { lit.origin };
+                let origin = if b.through { lit.beyond(world) } else { lit.origin };
                 ray = Ray { origin, direction: b.direction, t_max: f32::INFINITY };
             } else if pick < r + s + p {
                 carried *= passed * (whole / (p * alive));
-                ray.origin = beyond();
+                ray.origin = lit.beyond(world);
             } else {
                 break;
             }

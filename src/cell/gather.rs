@@ -7,7 +7,7 @@
 //!
 //! Each half looks up its own half alone: the halves of what is gathered stay independent.
 
-use crate::accel::{Ray, offset_origin};
+use crate::accel::Ray;
 use crate::atlas::TexelSampler;
 use crate::light::{Direct, Receiver, START_SLOTS, TexelLight};
 use crate::photon::StartTable;
@@ -151,7 +151,6 @@ impl Gather<'_> {
             let [r, s, p] = [reflected, thrown, passed].map(|share| share.max_element());
             let all = (r + s + p).max(1.0);
             let pick = stream.unit() * all;
-            let beyond = || offset_origin(world.position(hit.triangle, uv), -facing, world.extent(hit.triangle));
             if pick < r {
                 near_steps = (near_steps + 1).min(MOST_NEAR_STEPS);
                 carried *= reflected / r * all;
@@ -161,13 +160,13 @@ impl Gather<'_> {
             } else if let Some(b) = bounce.filter(|_| pick < r + s) {
                 // Light straight from a lamp over a mirror is not in here: photons bring it.
                 carried *= thrown / s * all;
-                let origin = if b.through { beyond() } else { met.origin };
+                let origin = if b.through { met.beyond(world) } else { met.origin };
                 ray = Ray { origin, direction: b.direction, t_max: f32::INFINITY };
                 straight = None;
             } else if pick < r + s + p {
                 carried *= passed / p * all;
                 straight = straight.map(|gone| gone + hit.t);
-                ray.origin = beyond();
+                ray.origin = met.beyond(world);
             } else {
                 return sum;
             }

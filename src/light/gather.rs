@@ -4,7 +4,6 @@ use super::emitters::{Emitters, SAMPLE_DIMENSIONS};
 use super::open::{cover_above, cover_in_part};
 use super::receiver::Receiver;
 use super::visibility::Visibility;
-use crate::accel;
 use crate::atlas::{TexelSampler, Texels};
 use crate::bisect::bisected;
 use crate::sampling::{DIMENSIONS, Stream, hash_mix, hash_seed, sobol, unit_f32};
@@ -141,9 +140,7 @@ impl TexelLight<'_> {
         if way.dot(at.geometric_normal) > 0.0 {
             return at.origin;
         }
-        let world = self.visibility.world;
-        let position = world.position(at.triangle, at.uv);
-        accel::offset_origin(position, -at.geometric_normal, world.extent(at.triangle))
+        at.beyond(self.visibility.world)
     }
 
     /// One sample of the light at `at`, all of it from `stream`.

@@ -45,6 +45,12 @@ impl Receiver {
         Receiver { triangle, uv, origin, geometric_normal: facing, shading_normal: facing }
     }
 
+    /// Where a ray starts that leaves through the surface, on its far side.
+    pub fn beyond(&self, world: &World) -> Vec3 {
+        let position = world.position(self.triangle, self.uv);
+        accel::offset_origin(position, -self.geometric_normal, world.extent(self.triangle))
+    }
+
     /// Cosines of a unit direction with the geometric and the shading normal; both 0 below the surface.
     pub fn cosines(&self, direction: Vec3) -> (f32, f32) {
         let g = self.geometric_normal.dot(direction);

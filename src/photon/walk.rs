@@ -2,8 +2,8 @@
 
 use super::bins::{Deposit, Trail};
 use super::ledger::EnergyLedger;
-use crate::accel::{self, Ray};
-use crate::light::Visibility;
+use crate::accel::Ray;
+use crate::light::{Receiver, Visibility};
 use crate::sampling::{cosine_hemisphere, unit_f32};
 use crate::scene::Bounce;
 use glam::{Vec2, Vec3};
@@ -131,16 +131,14 @@ pub fn walk(
         (0..3).for_each(|c| ledger.roulette[c] += i128::from(flux[c]) - expected[c]);
 
         gone = if let Way::Straight = way { gone + hit.t } else { 0.0 };
-        let (extent, position) = (world.extent(hit.triangle), world.position(hit.triangle, uv));
-        let before = || accel::reflected_origin(position, met.facing, extent, photon.ray.direction, hit.t);
-        let beyond = || accel::offset_origin(position, -met.facing, extent);
+        let at = Receiver::met(world, hit.triangle, uv, met.facing, photon.ray.direction, hit.t);
         let (origin, direction) = match way {
             Way::Diffuse => {
                 let u = Vec2::new(unit_f32(random()), unit_f32(random()));
-                (before(), cosine_hemisphere(met.facing, u))
+                (at.origin, cosine_hemisphere(met.facing, u))
             }
-            Way::Specular(b) => (if b.through { beyond() } else { before() }, b.direction),
-            Way::Straight => (beyond(), photon.ray.direction),
+            Way::Specular(b) => (if b.through { at.beyond(world) } else { at.origin }, b.direction),
+            Way::Straight => (at.beyond(world), photon.ray.direction),
         };
         let caustic = photon.caustic && !matches!(way, Way::Diffuse);
         photon = Photon { ray: Ray { origin, direction, t_max: f32::INFINITY }, flux, caustic, ..photon };

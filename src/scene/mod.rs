@@ -29,7 +29,7 @@ pub use mesh::{Instance, Mesh, Primitive};
 pub use profile::IesProfile;
 pub use sky::Sky;
 pub(crate) use sky::sky_pixel;
-pub use specular::{Arrival, Bounce, Specular, pane_reflectance, reflectance};
+pub use specular::{Bounce, Specular};
 pub use texture::{ColorSpace, Texture, Wrap};
 pub use world::{Frame, Met, SurfaceFlags, SurfacePoint, TriangleRef, World};
 

@@ -51,7 +51,7 @@ impl Bounce {
 
 /// Where light arrives.
 #[derive(Debug, Clone, Copy)]
-pub struct Arrival {
+pub(super) struct Arrival {
     /// Unit direction of travel.
     pub direction: Vec3,
     /// Unit geometric normal of the side that is met.
@@ -77,7 +77,7 @@ impl Specular {
     /// The lobe is that of the glTF specification, appendix B: GGX with Smith's height-correlated masking, Schlick's
     /// Fresnel term for metals; glass has the exact one. It is drawn in proportion to the visible normals (Heitz, JCGT
     /// 2018; Dupuy and Benyoub, CGF 2023), and light that a second facet would get is lost, as in that specification.
-    pub fn bounce(&self, at: &Arrival, u: [f32; 3]) -> Option<Bounce> {
+    pub(super) fn bounce(&self, at: &Arrival, u: [f32; 3]) -> Option<Bounce> {
         let most = self.metal + self.glass;
         let v = -at.direction;
         if most <= 0.0 || at.facing.dot(v) <= 0.0 {
@@ -154,7 +154,7 @@ fn masking(cosine: f32, alpha: f32) -> f32 {
 }
 
 /// Share of unpolarised light that a dielectric reflects; `eta` is the index beyond over that before.
-pub fn reflectance(cosine: f32, eta: f32) -> f32 {
+fn reflectance(cosine: f32, eta: f32) -> f32 {
     let sin2 = (1.0 - cosine * cosine) / (eta * eta);
     if sin2 >= 1.0 {
         return 1.0;
@@ -167,7 +167,7 @@ pub fn reflectance(cosine: f32, eta: f32) -> f32 {
 }
 
 /// Share that both faces of a clear thin pane reflect together, all ways to and fro summed up.
-pub fn pane_reflectance(cosine: f32, ior: f32) -> f32 {
+pub(super) fn pane_reflectance(cosine: f32, ior: f32) -> f32 {
     let r = reflectance(cosine, ior);
     2.0 * r / (1.0 + r)
 }

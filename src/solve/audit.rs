@@ -51,7 +51,9 @@ impl Solver<'_, '_> {
         let weight: f64 = solution.weights.weight.iter().sum();
         let blind = solution.squares.caustic / weight.max(1e-300) * (100.0 / solution.error.mean.max(1e-300)).powi(2);
         let audit = solution.audit.as_ref().ok();
-        let Some(unseen) = audit.and_then(|a| a.unseen(&solution.error, blind, self.photons * 2)) else { return };
+        let Some(unseen) = audit.and_then(|a| a.unseen(&solution.error, blind, self.diffuse.photons * 2)) else {
+            return;
+        };
         solution.error = solution.error.raised(&unseen);
         if let Some(last) = self.history.last_mut() {
             (last.percent, last.low, last.high) = (solution.error.percent, solution.error.low, solution.error.high);

@@ -101,7 +101,7 @@ impl Solver<'_, '_> {
             more_variance: gathered.variance,
             start_noise: self.start_noise(),
         });
-        let error = self.unseen.map_or(error, |unseen| error.with(&unseen, self.photons * 2));
+        let error = self.unseen.map_or(error, |unseen| error.with(&unseen, self.diffuse.photons * 2));
         let (target, mesh_target) = (self.options.target_percent, self.options.mesh_target());
         let all_biases: Vec<Bias> = biases.iter().zip(&gathered.biases).map(|(a, b)| a.plus(b)).collect();
         let (meshes, area_within_target) =
@@ -159,9 +159,9 @@ impl Solver<'_, '_> {
             caustic_rays: self.caustics.ledger.rays,
             gather_rays: self.gather_rays,
             gathered_meshes: (0..instances).filter(|&i| self.has_gathered(i)).count(),
-            ledger: self.ledger,
+            ledger: self.diffuse.ledger,
             back_flux: self.bins.back_flux(),
-            unit: self.flux.map_or(0.0, |f| f.unit),
+            unit: self.diffuse.flux.map_or(0.0, |f| f.unit),
             seconds: self.seconds,
         })
     }
@@ -210,7 +210,7 @@ impl Solver<'_, '_> {
     /// Squared relative noise of the flux that photons start with. They start at direct samples: how far the halves
     /// are apart in it is noise of all indirect light that only direct samples lower.
     fn start_noise(&self) -> f64 {
-        let [odd, even] = self.start_totals();
+        let [odd, even] = self.diffuse.start_totals();
         if odd + even > 0.0 { ((odd - even) / (odd + even)).powi(2) } else { 0.0 }
     }
 

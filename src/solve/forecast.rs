@@ -123,7 +123,7 @@ impl Solver<'_, '_> {
             soft: solution.squares.soft,
             indirect: solution.by_photons,
             samples: self.direct.all_samples() as f64,
-            photons: self.photons as f64,
+            photons: self.diffuse.photons as f64,
             gather_rays: self.gather_rays,
         });
     }
@@ -207,7 +207,7 @@ impl Solver<'_, '_> {
     }
 
     pub(super) fn amount(&self, round: &Round) -> Work {
-        let per_photon = self.ledger.rays.max(1) as f64 / self.photons.max(1) as f64;
+        let per_photon = self.diffuse.ledger.rays.max(1) as f64 / self.diffuse.photons.max(1) as f64;
         let per_caustic = self.caustics.ledger.rays as f64 / self.caustics.photons.max(1) as f64;
         Work {
             samples: round.samples as f64,

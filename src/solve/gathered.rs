@@ -22,11 +22,13 @@ impl Solver<'_, '_> {
     pub(super) fn gather(&mut self, found: &mut Reconstruction, caustics: Option<&Caustics>) -> Result<(), BakeError> {
         let started = Instant::now();
         let Surface { tree, open, .. } = self.path.surface;
-        let Some(starts) = self.starts.as_ref().filter(|_| self.gathered.iter().any(|&n| n > 0)) else { return Ok(()) };
+        let Some(starts) = self.diffuse.starts.as_ref().filter(|_| self.gathered.iter().any(|&n| n > 0)) else {
+            return Ok(());
+        };
         // Gathered once, light stays as it is until more rays are asked for or the map it came from is much better.
         let fresh: Vec<(usize, (u32, u64))> = (0..self.gathered.len())
             .filter(|&i| self.gathered[i] > 0)
-            .map(|i| (i, (self.gathered[i], self.photons)))
+            .map(|i| (i, (self.gathered[i], self.diffuse.photons)))
             .filter(|&(i, (rays, photons))| {
                 let (had, at) = self.gathered_at[i];
                 had != rays || photons >= GATHER_AGAIN * at

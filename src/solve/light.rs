@@ -1,11 +1,11 @@
 //! The light of every texel as it stands after a round: direct light from samples, the soft part of it and that of
 //! photons smoothed over cells, or gathered.
 
+use super::shots::FluxScale;
 use super::{LightPath, Solver, Surface};
 use crate::accuracy::{Caustics, Halves};
 use crate::cell::{Caught, Compared, Element, Node, Reconstruction, Samples, SurfaceTree, refined};
 use crate::options::{Smoothing, TexelValue};
-use crate::photon::Flux;
 use glam::Vec3;
 use rayon::prelude::*;
 
@@ -79,15 +79,14 @@ impl Solver<'_, '_> {
 
     /// Flux that each element caught of diffusely reflected light, in two halves.
     pub(super) fn caught(&self) -> [Caught; 2] {
-        let photon = Step::new(self.flux, self.photons, self.start_totals());
-        self.caught_flux(&photon, |h, texel| self.bins.flux(h, texel))
+        self.caught_flux(&self.diffuse.scale(), |h, texel| self.bins.flux(h, texel))
     }
 
     /// Light that came from lamps over mirrors and through glass alone, smoothed over cells of its own, for it has sharp
     /// edges where all else is smooth; `None` where there is none.
     pub(super) fn caustic_light(&self) -> Option<Smooth> {
         self.bins.has_caustics().then(|| {
-            let caught = self.caught_flux(&self.caustic_step(), |h, texel| self.bins.caustic_flux(h, texel));
+            let caught = self.caught_flux(&self.caustics.scale(), |h, texel| self.bins.caustic_flux(h, texel));
             let found = self.reconstruct(&caught);
             Smooth { caught, found }
         })
@@ -96,12 +95,12 @@ impl Solver<'_, '_> {
     /// Caustics as the map has them, and as surface anywhere reflects them.
     pub(super) fn caustics(&self, smooth: &Smooth) -> Caustics {
         let LightPath { surface: Surface { tree, texels, open, .. }, .. } = self.path;
-        let per_photon = self.caustic_step().flux;
+        let scale = self.caustics.scale();
         let [odd, even] = [0, 1].map(|h| {
             let mut light = scattered(&tree.elements, &smooth.found.values[h], open.len(), Vec3::ZERO);
             // What has no place on the map is not smoothed.
             light.extend((open.len()..texels.texels.len()).map(|texel| {
-                let flux = self.bins.caustic_flux(h, texel).map(|f| (f as f64 * per_photon) as f32);
+                let flux = self.bins.caustic_flux(h, texel).map(|f| (f as f64 * scale.step) as f32);
                 Vec3::from(flux) / texels.texels[texel].area.max(f32::MIN_POSITIVE)
             }));
             light
@@ -109,17 +108,13 @@ impl Solver<'_, '_> {
         Caustics { stored: self.texel_halves(&smooth.found), everywhere: Halves { odd, even } }
     }
 
-    fn caustic_step(&self) -> Step {
-        Step::new(self.caustics.flux, self.caustics.photons, self.caustics.totals)
-    }
-
-    fn caught_flux(&self, step: &Step, flux: impl Fn(usize, usize) -> [i64; 3] + Sync) -> [Caught; 2] {
+    fn caught_flux(&self, scale: &FluxScale, flux: impl Fn(usize, usize) -> [i64; 3] + Sync) -> [Caught; 2] {
         let elements = &self.path.surface.tree.elements;
         [0, 1].map(|h| {
-            let of = |texel: u32| flux(h, texel as usize).map(|f| (f as f64 * step.flux) as f32);
+            let of = |texel: u32| flux(h, texel as usize).map(|f| (f as f64 * scale.step) as f32);
             let flux: Vec<[f32; 3]> = elements.par_iter().map(|e| of(e.texel)).collect();
             let variance: Vec<f64> =
-                flux.iter().map(|f| f64::from(f.iter().sum::<f32>()) / 3.0 * step.photon).collect();
+                flux.iter().map(|f| f64::from(f.iter().sum::<f32>()) / 3.0 * scale.photon).collect();
             Caught { flux, variance, samples: None }
         })
     }
@@ -146,21 +141,6 @@ impl Solver<'_, '_> {
             out
         });
         Halves { odd, even }
-    }
-}
-
-/// What is in the bins, in flux [lux x frame units squared].
-struct Step {
-    /// Of an integer step.
-    flux: f64,
-    /// Of a photon.
-    photon: f64,
-}
-
-impl Step {
-    fn new(flux: Option<Flux>, photons: u64, [odd, even]: [f64; 2]) -> Step {
-        let photons = photons.max(1) as f64;
-        Step { flux: flux.map_or(0.0, |f| f.unit / photons), photon: odd.max(even) / photons }
     }
 }
 

@@ -12,12 +12,14 @@ mod estimate;
 mod forecast;
 mod gathered;
 mod light;
+mod shots;
 mod surface;
 
 pub use forecast::LightSeconds;
 pub use surface::Surface;
 
 use forecast::{Falls, Outlook};
+use shots::Shots;
 
 use crate::accuracy::{
     Audit, CAUSTIC_SHARE, Caustics, Halves, MeshError, Missed, Spent, TexelError, TexelWeights, Unseen, caustic_growth,
@@ -28,7 +30,7 @@ use crate::error::BakeError;
 use crate::light::{Direct, Emitters, Growth, TexelLight, Visibility};
 use crate::observer::{Observer, Stage};
 use crate::options::{BakeOptions, Normals};
-use crate::photon::{Bins, EnergyLedger, Flux, PhotonKind, Shooting, StartTable};
+use crate::photon::{Bins, EnergyLedger, PhotonKind};
 use crate::report::{HistoryEntry, RoundSeconds};
 use std::collections::HashMap;
 use std::time::Instant;
@@ -49,9 +51,6 @@ const DARK_SAMPLES: f64 = 64.0;
 
 /// Nets of one round are powers of two of at least this many photons.
 const LEAST_NET_BITS: u32 = 12;
-
-/// Largest net: rounds between two looks at the clock.
-const LARGEST_NET_BITS: u32 = 21;
 
 /// A round multiplies the work so far by at most this much: forecasts from little data are poor.
 const MOST_GROWTH: f64 = 5.0;
@@ -187,9 +186,10 @@ struct Solver<'a, 'o> {
     /// Whether it was better smoothed over cells when that was last tried.
     smooths_direct: Option<bool>,
     bins: Bins<'a>,
-    flux: Option<Flux>,
-    /// Where photons of each half started last.
-    starts: Option<[StartTable; 2]>,
+    /// Photons that light carries on which was reflected diffusely.
+    diffuse: Shots,
+    /// Photons that bring what lamps throw over mirrors and through glass.
+    caustics: Shots,
     /// Gather rays of each texel and half, per instance; 0 where photons do.
     gathered: Vec<u32>,
     gather_rays: u64,
@@ -199,12 +199,6 @@ struct Solver<'a, 'o> {
     kept: HashMap<u32, [Gathered; 2]>,
     /// Texels of each instance on the map, in order.
     texels_of: Vec<Vec<u32>>,
-    /// Photons per half, and nets per half so far.
-    photons: u64,
-    nets: u64,
-    ledger: EnergyLedger,
-    /// Photons that bring what lamps throw over mirrors and through glass.
-    caustics: CausticShots,
     /// What an audit found beyond the halves.
     unseen: Option<Unseen>,
     seconds: LightSeconds,
@@ -212,18 +206,6 @@ struct Solver<'a, 'o> {
     rounds: Vec<RoundSeconds>,
     last: Option<Outlook>,
     falls: Falls,
-}
-
-/// Photons for caustics alone.
-#[derive(Debug, Default)]
-struct CausticShots {
-    flux: Option<Flux>,
-    /// Start flux of each half, as the last round found it [lux x frame units squared].
-    totals: [f64; 2],
-    /// Per half.
-    photons: u64,
-    nets: u64,
-    ledger: EnergyLedger,
 }
 
 /// Solves until the targets of `options` are met or a limit binds. `began` is when the bake began.
@@ -249,17 +231,13 @@ pub fn solve(
         direct: Direct::new(path.surface.texels.texels.len()),
         smooths_direct: None,
         bins: Bins::new(path.visibility.world, &path.surface.texels, &path.surface.open),
-        flux: None,
-        starts: None,
+        diffuse: Shots::default(),
+        caustics: Shots::default(),
         gathered: vec![0; instances],
         gather_rays: 0,
         gathered_at: vec![(0, 0); instances],
         kept: HashMap::new(),
         texels_of,
-        photons: 0,
-        nets: 0,
-        ledger: EnergyLedger::default(),
-        caustics: CausticShots::default(),
         unseen: None,
         seconds: LightSeconds::default(),
         history: Vec::new(),
@@ -295,9 +273,7 @@ impl Solver<'_, '_> {
     fn run(&mut self) -> Result<Solution, BakeError> {
         let bits = (self.path.surface.texels.texels.len().max(1).ilog2())
             .clamp(*FIRST_NET_BITS.start(), *FIRST_NET_BITS.end());
-        let specular = self.path.visibility.world.is_specular();
-        let caustics = if specular { 1 << bits } else { 0 };
-        let mut round = Round { samples: 1, photons: 1 << bits, caustics, ..Round::default() };
+        let mut round = Round { samples: 1, photons: 1 << bits, caustics: 1 << bits, ..Round::default() };
         loop {
             let mut solution = self.converge(round)?;
             solution.audit = self.audit(&solution)?;
@@ -342,7 +318,7 @@ impl Solver<'_, '_> {
             let forecast_rays = rays as f64 + wish.as_ref().map_or(0.0, |r| self.cost(r));
             self.history.push(HistoryEntry {
                 direct_samples: self.direct.all_samples(),
-                photons: self.photons * 2,
+                photons: self.diffuse.photons * 2,
                 rays,
                 percent: solution.error.percent,
                 low: solution.error.low,
@@ -372,8 +348,10 @@ impl Solver<'_, '_> {
         if let Some(limit) = self.sample(round)? {
             return Ok(Some(limit));
         }
-        let limit = self.shoot(round.photons)?;
-        let limit = limit.or(self.shoot_caustics(round.caustics)?);
+        let mut limit = self.shoot(PhotonKind::Diffuse, round.photons)?;
+        if self.path.visibility.world.is_specular() {
+            limit = limit.or(self.shoot(PhotonKind::Caustic, round.caustics)?);
+        }
         Ok(limit.or_else(|| self.out_of_time().then_some("time-limit")))
     }
 
@@ -409,125 +387,13 @@ impl Solver<'_, '_> {
         Ok(None)
     }
 
-    /// Shoots `photons` per half in nets; the limit that ended them early.
-    fn shoot(&mut self, photons: u64) -> Result<Option<&'static str>, BakeError> {
-        let mut started = Instant::now();
-        let LightPath { surface: Surface { texels, open, crevice, .. }, visibility, .. } = self.path;
-        let starts = [0, 1].map(|h| StartTable::new(texels, &self.direct, h));
-        let total = starts[0].total().max(starts[1].total());
-        if total <= 0.0 {
-            return Ok(None);
-        }
-        if self.flux.is_some_and(|f| !f.holds(total)) {
-            // The first direct samples missed nearly all of the light: so did the photons they started.
-            self.flux = None;
-            self.bins = Bins::new(visibility.world, texels, open);
-            self.ledger = EnergyLedger::default();
-            self.photons = 0;
-            self.caustics = CausticShots::default();
-            self.gathered_at.fill((0, 0));
-            (self.falls, self.last) = (Falls::new(), None);
-        }
-        let flux = *self.flux.get_or_insert_with(|| Flux::for_total(total));
-        let (seed, light) = (self.options.seed, self.path.light(false));
-        let (mut left, mut limit) = (photons, None);
-        while left > 0 {
-            // The smallest net is shot whatever the limit: without any, indirect light would be black.
-            let most = self.options.max_photons.map_or(u64::MAX, |m| (m / 2).max(1 << LEAST_NET_BITS));
-            let allowed = most.saturating_sub(self.photons);
-            if allowed < 1 << LEAST_NET_BITS {
-                limit = Some("max-photons");
-                break;
-            }
-            let bits = left.min(allowed).ilog2().clamp(LEAST_NET_BITS, LARGEST_NET_BITS);
-            let kind = PhotonKind::Diffuse;
-            let shooting =
-                Shooting { kind, seed, flux, starts: &starts, direct: &self.direct, light, crevice: *crevice };
-            for (half, start) in starts.iter().enumerate() {
-                // A half whose direct samples found no light sends out nothing, but its photons count.
-                if start.total() > 0.0 {
-                    self.ledger += &shooting.net(half, self.nets, bits, &self.bins);
-                }
-            }
-            self.nets += 1;
-            self.photons += 1 << bits;
-            left = left.saturating_sub(1 << bits);
-            self.seconds.photons += started.elapsed().as_secs_f64();
-            started = Instant::now();
-            self.report_progress()?;
-            if left > 0 && self.out_of_time() {
-                limit = Some("time-limit");
-                break;
-            }
-        }
-        self.starts = Some(starts);
-        Ok(limit)
-    }
-
-    /// Shoots `photons` per half for caustics alone; the limit that ended them early.
-    fn shoot_caustics(&mut self, photons: u64) -> Result<Option<&'static str>, BakeError> {
-        let LightPath { surface: Surface { texels, crevice, .. }, visibility, .. } = self.path;
-        let world = visibility.world;
-        // None are left where all bins were emptied.
-        let photons =
-            if self.caustics.photons == 0 && world.is_specular() { photons.max(1 << LEAST_NET_BITS) } else { photons };
-        if photons == 0 {
-            return Ok(None);
-        }
-        let mut started = Instant::now();
-        let starts = [0, 1].map(|h| StartTable::of_specular(world, texels, &self.direct, h));
-        self.caustics.totals = [starts[0].total(), starts[1].total()];
-        let total = starts[0].total().max(starts[1].total());
-        if total <= 0.0 {
-            return Ok(None);
-        }
-        if self.caustics.flux.is_some_and(|f| !f.holds(total)) {
-            self.bins.forget_caustics();
-            self.caustics = CausticShots { totals: self.caustics.totals, ..CausticShots::default() };
-        }
-        let flux = *self.caustics.flux.get_or_insert_with(|| Flux::for_total(total));
-        let (seed, light) = (self.options.seed, self.path.light(false));
-        let mut left = photons;
-        while left > 0 {
-            let bits = left.ilog2().clamp(LEAST_NET_BITS, LARGEST_NET_BITS);
-            let kind = PhotonKind::Caustic;
-            let shooting =
-                Shooting { kind, seed, flux, starts: &starts, direct: &self.direct, light, crevice: *crevice };
-            for (half, start) in starts.iter().enumerate() {
-                if start.total() > 0.0 {
-                    self.caustics.ledger += &shooting.net(half, self.caustics.nets, bits, &self.bins);
-                }
-            }
-            self.caustics.nets += 1;
-            self.caustics.photons += 1 << bits;
-            left = left.saturating_sub(1 << bits);
-            self.seconds.photons += started.elapsed().as_secs_f64();
-            started = Instant::now();
-            self.report_progress()?;
-            if left > 0 && self.out_of_time() {
-                return Ok(Some("time-limit"));
-            }
-        }
-        Ok(None)
-    }
-
-    /// Start flux of each half, as the last round found it [lux x frame units squared].
-    fn start_totals(&self) -> [f64; 2] {
-        self.starts.as_ref().map_or([0.0; 2], |s| [s[0].total(), s[1].total()])
-    }
-
     /// Samples, photons and gather rays so far.
     fn work(&self) -> (u64, u64, u64) {
-        (self.direct.all_samples(), self.photons + self.caustics.photons, self.gather_rays)
+        (self.direct.all_samples(), self.diffuse.photons + self.caustics.photons, self.gather_rays)
     }
 
     fn rays(&self) -> u64 {
         self.direct.rays() + self.photon_rays() + self.gather_rays
-    }
-
-    /// Rays of photons of both kinds.
-    fn photon_rays(&self) -> u64 {
-        self.ledger.rays + self.caustics.ledger.rays
     }
 
     /// Rays that a round takes.
@@ -565,7 +431,7 @@ impl Solver<'_, '_> {
             indirect: s.squares.indirect + unseen,
             falls: [self.falls.soft.exponent(), self.falls.indirect.exponent()],
             direct_cost: SAMPLE_COST * samples,
-            photon_cost: self.ledger.rays.max(1) as f64,
+            photon_cost: self.diffuse.ledger.rays.max(1) as f64,
         };
         let needed = (s.error.high / target).powi(2);
         // Caustics have photons of their own: these are to leave a small share of what is allowed.
@@ -592,8 +458,8 @@ impl Solver<'_, '_> {
             let more = self.direct.samples_to_grow(&growing(&self.texels_of, &round.direct));
             round.samples = round.samples.saturating_add(more.ceil().min(1e18) as u64);
         }
-        if self.flux.is_some() {
-            round.photons = (self.photons as f64 * (y - 1.0)).ceil().min(1e18) as u64;
+        if self.diffuse.flux.is_some() {
+            round.photons = (self.diffuse.photons as f64 * (y - 1.0)).ceil().min(1e18) as u64;
         }
         round.caustics = (self.caustics.photons as f64 * (z - 1.0)).ceil().min(1e18) as u64;
         Some(round)
@@ -603,9 +469,8 @@ impl Solver<'_, '_> {
     fn bounded(&mut self, mut wish: Round) -> Result<Round, &'static str> {
         let most = |n: u64| (n as f64 * (MOST_GROWTH - 1.0)) as u64;
         wish.samples = wish.samples.min(most(self.direct.all_samples()));
-        wish.photons = wish.photons.min(most(self.photons)).next_multiple_of(1 << LEAST_NET_BITS);
-        let caustics_left =
-            self.options.max_photons.map_or(u64::MAX, |m| (m / 2).saturating_sub(self.caustics.photons));
+        wish.photons = wish.photons.min(most(self.diffuse.photons)).next_multiple_of(1 << LEAST_NET_BITS);
+        let caustics_left = self.caustics.left(self.options.max_photons);
         wish.caustics = wish.caustics.min(most(self.caustics.photons)).min(caustics_left);
         // The cheapest meshes first, for about as many rays as the rest of the round may take; one at least where there
         // is nothing else to do.
@@ -632,7 +497,8 @@ impl Solver<'_, '_> {
     }
 
     fn exhausted(&self) -> &'static str {
-        let bound = self.options.max_photons.is_some_and(|m| self.photons + (1 << LEAST_NET_BITS) > m / 2);
+        let most = self.options.max_photons;
+        let bound = [&self.diffuse, &self.caustics].into_iter().any(|shots| shots.left(most) == 0);
         if bound { "max-photons" } else { "samples" }
     }
 }

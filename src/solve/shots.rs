@@ -1,0 +1,137 @@
+//! Photons of one kind, shot in nets round after round.
+
+use super::forecast::Falls;
+use super::{LEAST_NET_BITS, LightPath, Solver, Surface};
+use crate::error::BakeError;
+use crate::photon::{Bins, EnergyLedger, Flux, PhotonKind, Shooting, StartTable};
+use std::time::Instant;
+
+/// Largest net: rounds between two looks at the clock.
+const LARGEST_NET_BITS: u32 = 21;
+
+/// Photons of one kind so far.
+#[derive(Debug, Default)]
+pub(super) struct Shots {
+    pub(super) flux: Option<Flux>,
+    /// Where photons of each half started last.
+    pub(super) starts: Option<[StartTable; 2]>,
+    /// Photons per half.
+    pub(super) photons: u64,
+    /// Nets per half.
+    nets: u64,
+    pub(super) ledger: EnergyLedger,
+}
+
+impl Shots {
+    /// Start flux of each half, as the last round found it [lux x frame units squared].
+    pub(super) fn start_totals(&self) -> [f64; 2] {
+        self.starts.as_ref().map_or([0.0; 2], |s| [s[0].total(), s[1].total()])
+    }
+
+    /// Flux of an integer step of a bin, and of a photon [lux x frame units squared].
+    pub(super) fn scale(&self) -> FluxScale {
+        let photons = self.photons.max(1) as f64;
+        let [odd, even] = self.start_totals();
+        FluxScale { step: self.flux.map_or(0.0, |f| f.unit / photons), photon: odd.max(even) / photons }
+    }
+
+    /// Photons per half that `most_photons` of both halves leave; less than the smallest net is none.
+    pub(super) fn left(&self, most_photons: Option<u64>) -> u64 {
+        // The smallest net is shot whatever the limit: without any, its light would be black.
+        let most = most_photons.map_or(u64::MAX, |m| (m / 2).max(1 << LEAST_NET_BITS));
+        let left = most.saturating_sub(self.photons);
+        if left < 1 << LEAST_NET_BITS { 0 } else { left }
+    }
+}
+
+/// What is in the bins, in flux [lux x frame units squared].
+pub(super) struct FluxScale {
+    /// Of an integer step.
+    pub(super) step: f64,
+    /// Of a photon.
+    pub(super) photon: f64,
+}
+
+impl Solver<'_, '_> {
+    /// Shoots `photons` per half in nets; the limit that ended them early.
+    pub(super) fn shoot(&mut self, kind: PhotonKind, photons: u64) -> Result<Option<&'static str>, BakeError> {
+        let mut started = Instant::now();
+        let LightPath { surface: Surface { texels, crevice, .. }, visibility, .. } = self.path;
+        let starts = [0, 1].map(|h| match kind {
+            PhotonKind::Diffuse => StartTable::new(texels, &self.direct, h),
+            PhotonKind::Caustic => StartTable::of_specular(visibility.world, texels, &self.direct, h),
+        });
+        let total = starts[0].total().max(starts[1].total());
+        if total <= 0.0 {
+            return Ok(None);
+        }
+        if self.shots(kind).flux.is_some_and(|f| !f.holds(total)) {
+            self.forget(kind);
+        }
+        let flux = *self.shots(kind).flux.get_or_insert_with(|| Flux::for_total(total));
+        let (seed, light, most) = (self.options.seed, self.path.light(false), self.options.max_photons);
+        let (mut left, mut limit) = (photons, None);
+        if self.shots(kind).photons == 0 {
+            left = left.max(1 << LEAST_NET_BITS);
+        }
+        while left > 0 {
+            let allowed = self.shots(kind).left(most);
+            if allowed == 0 {
+                limit = Some("max-photons");
+                break;
+            }
+            let (net, bits) =
+                (self.shots(kind).nets, left.min(allowed).ilog2().clamp(LEAST_NET_BITS, LARGEST_NET_BITS));
+            let shooting =
+                Shooting { kind, seed, flux, starts: &starts, direct: &self.direct, light, crevice: *crevice };
+            let mut ledger = EnergyLedger::default();
+            for (half, start) in starts.iter().enumerate() {
+                // A half whose direct samples found no light sends out nothing, but its photons count.
+                if start.total() > 0.0 {
+                    ledger += &shooting.net(half, net, bits, &self.bins);
+                }
+            }
+            let shots = self.shots(kind);
+            shots.ledger += &ledger;
+            shots.nets += 1;
+            shots.photons += 1 << bits;
+            left = left.saturating_sub(1 << bits);
+            self.seconds.photons += started.elapsed().as_secs_f64();
+            started = Instant::now();
+            self.report_progress()?;
+            if left > 0 && self.out_of_time() {
+                limit = Some("time-limit");
+                break;
+            }
+        }
+        self.shots(kind).starts = Some(starts);
+        Ok(limit)
+    }
+
+    fn shots(&mut self, kind: PhotonKind) -> &mut Shots {
+        match kind {
+            PhotonKind::Diffuse => &mut self.diffuse,
+            PhotonKind::Caustic => &mut self.caustics,
+        }
+    }
+
+    /// Begins anew: the first direct samples missed nearly all of the light, and so did the photons they started.
+    fn forget(&mut self, kind: PhotonKind) {
+        let LightPath { surface: Surface { texels, open, .. }, visibility, .. } = self.path;
+        self.caustics = Shots::default();
+        match kind {
+            PhotonKind::Caustic => self.bins.forget_caustics(),
+            PhotonKind::Diffuse => {
+                self.bins = Bins::new(visibility.world, texels, open);
+                self.diffuse = Shots::default();
+                self.gathered_at.fill((0, 0));
+                (self.falls, self.last) = (Falls::new(), None);
+            }
+        }
+    }
+
+    /// Rays of photons of both kinds.
+    pub(super) fn photon_rays(&self) -> u64 {
+        self.diffuse.ledger.rays + self.caustics.ledger.rays
+    }
+}
