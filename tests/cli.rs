@@ -1,22 +1,15 @@
 //! The program as a build step sees it: exit status, messages, files, JSON.
 
+mod common;
+
 use assert_cmd::Command;
+use common::program::{evenlight, expect, read_json, text};
 use serde_json::Value;
 use std::path::{Path, PathBuf};
 use std::process::Output;
 
 fn fixture(name: &str) -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join("fixtures").join(name)
-}
-
-/// Runs the program in `folder` and waits at most a minute.
-fn evenlight(folder: &Path, arguments: &[&str]) -> Output {
-    Command::new(env!("CARGO_BIN_EXE_evenlight"))
-        .current_dir(folder)
-        .args(arguments)
-        .timeout(std::time::Duration::from_secs(60))
-        .output()
-        .expect("the program starts")
 }
 
 /// Bakes a fixture with small maps.
@@ -34,18 +27,6 @@ fn temporary() -> tempfile::TempDir {
     tempfile::tempdir().expect("a temporary folder")
 }
 
-fn text(bytes: &[u8]) -> String {
-    String::from_utf8(bytes.to_vec()).expect("output in UTF-8")
-}
-
-/// The exit status, with all output where it is not the expected one.
-#[track_caller]
-fn expect(output: &Output, status: i32) -> String {
-    let message = text(&output.stderr);
-    assert_eq!(output.status.code(), Some(status), "stderr: {message}\nstdout: {}", text(&output.stdout));
-    message
-}
-
 /// Names of all files below `folder`, sorted.
 fn files(folder: &Path) -> Vec<String> {
     let Ok(entries) = std::fs::read_dir(folder) else { return Vec::new() };
@@ -53,10 +34,6 @@ fn files(folder: &Path) -> Vec<String> {
     let mut names: Vec<String> = entries.map(name).collect();
     names.sort();
     names
-}
-
-fn json(path: &Path) -> Value {
-    serde_json::from_slice(&std::fs::read(path).expect("the file is there")).expect("valid JSON")
 }
 
 #[test]
@@ -75,7 +52,7 @@ fn a_bake_that_meets_its_targets_writes_everything_and_returns_0() {
     assert_eq!(files(&out), expected);
 
     let printed: Value = serde_json::from_slice(&output.stdout).expect("stdout is the report alone");
-    assert_eq!(printed, json(&out.join("report.json")));
+    assert_eq!(printed, read_json(&out.join("report.json")));
     for key in [
         "sigma",
         "sigma_paper",
@@ -97,7 +74,7 @@ fn a_bake_that_meets_its_targets_writes_everything_and_returns_0() {
     assert_eq!(printed["meshes"].as_array().map(Vec::len), Some(8), "six walls, block and wedge");
     assert_eq!(printed["energy"]["imbalance"], serde_json::json!([0, 0, 0]));
 
-    let manifest = json(&out.join("lightmap.json"));
+    let manifest = read_json(&out.join("lightmap.json"));
     assert_eq!((&manifest["quantity"], &manifest["unit"]), (&"irradiance-over-pi".into(), &"cd/m2".into()));
     assert_eq!(manifest["pages"][0]["file"], "lightmap-0.exr");
     assert_eq!(manifest["nodes"].as_array().map(Vec::len), Some(8));
@@ -132,7 +109,7 @@ fn limits_that_bind_are_named_and_return_3() {
         let output = bake(folder.path(), "cube.glb", &["--target-percent", "0.001", flag, value, "--no-preview"]);
         let message = expect(&output, 3);
         assert!(message.contains(&format!("NOT met: ended by {name}")), "{message}");
-        let report = json(&folder.path().join("out/report.json"));
+        let report = read_json(&folder.path().join("out/report.json"));
         assert_eq!((&report["target_met"], &report["limit"]), (&Value::Bool(false), &name.into()));
         assert!(files(&folder.path().join("out")).contains(&"lightmap-0.exr".into()));
     }

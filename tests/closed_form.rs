@@ -7,7 +7,7 @@ mod common;
 use common::formulas::{QuadMap, disc_irradiance, point_irradiance, polygon_irradiance};
 use common::rooms::{Builder, plain, run};
 use common::runs::{self, area_mean, flux, grey, node_mean, one_round, samples};
-use common::statistics::{expect_mean, mean_test};
+use common::statistics::expect_mean;
 use evenlight::options::{Lights, SkySource, Sun};
 use evenlight::scene::{ClearSky, LightKind, Material, Scene, Sky};
 use evenlight::{Bake, BakeOptions};
@@ -154,32 +154,9 @@ fn spot_on_a_plane() {
         let ramp = ((cosine - co) / (ci - co)).clamp(0.0, 1.0);
         point_irradiance(p, quad.normal, at.as_dvec3(), 100.0) * ramp * ramp
     };
-    let blocks = samples(&scene, &one_round(PAGE), 0..32, |bake, e| {
-        std::array::from_fn::<_, 16, _>(|k| grey(area_mean(bake, e, |i| block(bake, i, &quad) == k).as_vec3()))
-    });
-    for (k, block) in blocks.iter().enumerate() {
-        let mut expected = 0.0;
-        for i in 0..64 * 64 {
-            let (x, y) = (f64::from(i % 64) + 0.5, f64::from(i / 64) + 0.5);
-            let (column, row) = ((k % 4) as f64 * 4.0 + x / 16.0, (k / 4) as f64 * 4.0 + y / 16.0);
-            expected += formula(quad.corner + quad.u * (column / 16.0) + quad.v * (row / 16.0)) / 4096.0;
-        }
-        if let Err(e) = mean_test(block, expected, 16) {
-            panic!("block {k}: {e}");
-        }
-    }
+    runs::expect_blocks(&scene, PAGE, 32, formula);
     let [total] = samples(&scene, &one_round(PAGE), 100..132, |bake, e| [node_mean(bake, e, 0)]);
-    let midpoint = |i: i32| {
-        let (x, y) = (f64::from(i % 1024) + 0.5, f64::from(i / 1024) + 0.5);
-        formula(quad.corner + quad.u * (x / 1024.0) + quad.v * (y / 1024.0))
-    };
-    expect_mean("whole plane", &total, (0..1024 * 1024).map(midpoint).sum::<f64>() / 1048576.0, 0.005, 1);
-}
-
-/// Number of a texel's block of 4 x 4 on the floor.
-fn block(bake: &Bake, texel: usize, quad: &QuadMap) -> usize {
-    let (_, x, y) = bake.texels.page_position(texel);
-    ((y - quad.origin[1]) / 4 * 4 + (x - quad.origin[0]) / 4) as usize
+    expect_mean("whole plane", &total, quad.mean([0.0; 2], 1.0, 1024, formula), 0.005, 1);
 }
 
 /// A directional light gives its lux on a plane facing it, and the cosine of that on others; so does a sun with

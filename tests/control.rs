@@ -2,16 +2,15 @@
 
 mod common;
 
-use assert_cmd::Command;
 use common::exr_reader::Picture;
 use common::glb::SceneBuilder;
+use common::program::{evenlight, expect, read_json};
 use evenlight::options::{Audits, Density};
 use evenlight::scene::{BakeMode, Changes, LightChange, LightKind, NodeChange, Scene};
 use evenlight::{BakeOptions, NoObserver, bake};
 use glam::Vec3;
 use serde_json::{Value, json};
 use std::path::Path;
-use std::process::Output;
 
 /// A room of 4 x 3 x 4 m with the lamps "bulb" (of the node "pendant") and "spot", the sun "sun" and a tube that emits.
 fn room(albedo: f32) -> SceneBuilder {
@@ -185,15 +184,6 @@ fn a_profile_has_the_candela_of_its_file_and_the_hue_of_the_light() {
     assert!(refused("tube").contains("`tube` is no point or spot light"));
 }
 
-fn evenlight(folder: &Path, arguments: &[&str]) -> Output {
-    Command::new(env!("CARGO_BIN_EXE_evenlight"))
-        .current_dir(folder)
-        .args(arguments)
-        .timeout(std::time::Duration::from_secs(60))
-        .output()
-        .expect("the program starts")
-}
-
 fn folder() -> tempfile::TempDir {
     let folder = tempfile::tempdir().expect("a folder");
     std::fs::write(folder.path().join("room.glb"), room(0.5).glb()).expect("written");
@@ -214,17 +204,6 @@ const QUICK: [&str; 10] = [
     "--no-html",
 ];
 
-#[track_caller]
-fn expect(output: &Output, status: i32) -> String {
-    let said = String::from_utf8_lossy(&output.stderr).into_owned();
-    assert_eq!(output.status.code(), Some(status), "{said}");
-    said
-}
-
-fn read(path: &Path) -> Value {
-    serde_json::from_slice(&std::fs::read(path).expect("it is there")).expect("JSON")
-}
-
 #[test]
 fn the_command_line_changes_lights_and_says_so() {
     let folder = folder();
@@ -232,14 +211,14 @@ fn the_command_line_changes_lights_and_says_so() {
     let arguments = [&["bake", "room.glb", "-o", "out"][..], &QUICK, &flags, &["--remove-baked-lights"]].concat();
     let said = expect(&evenlight(folder.path(), &arguments), 0);
     assert!(said.contains("changed: light spot: baked off, not full"), "{said}");
-    let report = read(&folder.path().join("out/report.json"));
+    let report = read_json(&folder.path().join("out/report.json"));
     let changed = [
         "light bulb: shines as even.ies, 1257 lm, times 0.5",
         "light spot: baked off, not full",
         "material tube: baked indirect, not full",
     ];
     assert_eq!(report["changed"], json!(changed));
-    let lights = &read(&folder.path().join("out/lightmap.json"))["lights"];
+    let lights = &read_json(&folder.path().join("out/lightmap.json"))["lights"];
     assert_eq!(lights[0], json!({"name": "bulb", "node": 3, "profile": "even.ies", "bake": "full"}));
     assert_eq!(lights[1], json!({"name": "spot", "node": 4, "bake": "off"}));
     let written = Scene::from_gltf(folder.path().join("out/scene.glb")).expect("a good scene");
@@ -347,7 +326,7 @@ bake = false
     let file = folder.path().join("settings/bake.toml");
     std::fs::write(&file, config).expect("written");
     expect(&evenlight(folder.path(), &["bake", "--config", "settings/bake.toml"]), 0);
-    let report = read(&folder.path().join("out/report.json"));
+    let report = read_json(&folder.path().join("out/report.json"));
     let said: Vec<&str> = report["changed"].as_array().expect("a list").iter().filter_map(Value::as_str).collect();
     assert_eq!(said.len(), 5, "{said:?}");
     assert!(said[0].starts_with("light bulb: baked indirect, not full, shines as settings/../even.ies"), "{}", said[0]);
@@ -391,7 +370,7 @@ fn the_command_line_wins_over_the_file() {
     std::fs::write(folder.path().join("bake.toml"), config).expect("written");
     let flags = ["--config=bake.toml", "--light=bulb=full", "--light=spot=0.25"];
     expect(&evenlight(folder.path(), &[&["bake", "room.glb", "-o", "out"][..], &QUICK, &flags].concat()), 0);
-    let report = read(&folder.path().join("out/report.json"));
+    let report = read_json(&folder.path().join("out/report.json"));
     assert_eq!((&report["seed"], &report["target_percent"]), (&json!(7), &json!(500.0)));
     assert_eq!(report["changed"], json!(["light spot: times 0.25"]));
 }

@@ -470,8 +470,7 @@ fn to_frame(light: &Light, world: &World, settings: LightSettings) -> Punctual {
     }
 }
 
-/// Bounds of a point or spot light. Those of a profile send its flux, spread as the cone around it is. The noise of a
-/// floor under 40 lamps, narrow and wide: 54, where it is 64 by the largest intensity in that cone, and 78 all around.
+/// Bounds of a point or spot light. Those of a profile send its flux, spread as the cone around it is.
 fn punctual_bounds(light: &Punctual) -> LightBounds {
     let around = LightBounds {
         lo: light.position,

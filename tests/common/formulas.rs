@@ -42,6 +42,13 @@ impl QuadMap {
         self.corner + self.u * x + self.v * y
     }
 
+    /// Mean of `e` over the square at `corner`, `side` wide, of the quad taken as the unit square, by n x n midpoints.
+    pub fn mean(&self, corner: [f64; 2], side: f64, n: i32, e: impl Fn(DVec3) -> f64) -> f64 {
+        let at = |start: f64, i: i32| start + side * (f64::from(i) + 0.5) / f64::from(n);
+        let midpoint = |i: i32| e(self.corner + self.u * at(corner[0], i % n) + self.v * at(corner[1], i / n));
+        (0..n * n).map(midpoint).sum::<f64>() / f64::from(n * n)
+    }
+
     /// Mean of `e` over a texel by 4 x 4 points of Gauss and Legendre.
     pub fn texel_mean(&self, column: u32, row: u32, e: impl Fn(DVec3) -> f64) -> f64 {
         let mut sum = 0.0;

@@ -7,6 +7,7 @@ pub mod formulas;
 pub mod glb;
 pub mod packed;
 pub mod path_tracer;
+pub mod program;
 pub mod random;
 pub mod rooms;
 pub mod runs;

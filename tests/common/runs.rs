@@ -2,7 +2,7 @@
 
 use super::formulas::QuadMap;
 use super::rooms::run;
-use super::statistics::{score, score_tests};
+use super::statistics::{mean_test, score, score_tests};
 use evenlight::scene::Scene;
 use evenlight::{Bake, BakeOptions};
 use glam::{DVec3, Vec3};
@@ -101,5 +101,24 @@ pub fn expect_texels(what: &str, scene: &Scene, page: u32, seeds: u64, e: impl F
         && let Err(e) = score_tests(&scores)
     {
         panic!("{what}: {e}");
+    }
+}
+
+/// Means of the first node, a quad of 16 x 16 texels, over its blocks of 4 x 4 texels against those of `e`.
+pub fn expect_blocks(scene: &Scene, page: u32, seeds: u64, e: impl Fn(DVec3) -> f64) {
+    let quad = QuadMap::of(scene, 0, page);
+    let block = |bake: &Bake, texel: usize| {
+        let (_, x, y) = bake.texels.page_position(texel);
+        let stands = bake.solution.weights.instance[texel] == 0 && !bake.texels.texels[texel].back;
+        stands.then(|| ((y - quad.origin[1]) / 4 * 4 + (x - quad.origin[0]) / 4) as usize)
+    };
+    let blocks = samples(scene, &one_round(page), 0..seeds, |bake, e| {
+        std::array::from_fn::<_, 16, _>(|k| grey(area_mean(bake, e, |i| block(bake, i) == Some(k)).as_vec3()))
+    });
+    for (k, found) in blocks.iter().enumerate() {
+        let corner = [(k % 4) as f64 / 4.0, (k / 4) as f64 / 4.0];
+        if let Err(e) = mean_test(found, quad.mean(corner, 0.25, 64, &e), 16) {
+            panic!("block {k}: {e}");
+        }
     }
 }
