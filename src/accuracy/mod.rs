@@ -22,6 +22,6 @@ pub use estimate::{
 };
 pub use interval::{Moments, TWO_SIDED_95, chi_square_quantile, normal_quantile};
 pub use plan::{
-    CAUSTIC_SHARE, Fall, GATHER_AGAIN, GATHER_RAY_COST, MeshPlan, Missed, Spent, caustic_growth, cheapest_growth,
-    gather_rays, plan_meshes,
+    CAUSTIC_SHARE, Fall, GATHER_AGAIN, GATHER_RAY_COST, MeshPlan, Missed, PhotonCost, Spent, caustic_growth,
+    cheapest_growth, gather_rays, plan_meshes,
 };

@@ -135,6 +135,15 @@ pub struct MeshPlan {
     pub gather: Vec<(usize, u32)>,
 }
 
+/// Cost of the photons so far, in rays.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct PhotonCost {
+    /// Of those for diffusely reflected light, > 0.
+    pub diffuse: f64,
+    /// Of those for caustics alone.
+    pub caustic: f64,
+}
+
 /// Cost of a gather ray in rays of photons: rays of one texel go everywhere, and look light up (measured 1.7 to 4).
 pub const GATHER_RAY_COST: f64 = 2.5;
 
@@ -162,9 +171,9 @@ const CHEAP: f64 = 0.02;
 pub const GATHER_AGAIN: u64 = 4;
 
 /// The cheapest way for all of `missed` but the `spared` dearest: more photons serve all, gathering serves one
-/// mesh for rays in proportion to its texels. `target` is the meshes' target as a fraction, `anyway` the factor by which
-/// there will be more photons for the sake of the whole.
-pub fn plan_meshes(missed: &[Missed], spared: usize, target: f64, photon_cost: f64, anyway: f64) -> MeshPlan {
+/// mesh for rays in proportion to its texels. `target` is the meshes' target as a fraction, `cost` that of the photons of
+/// both kinds so far, `anyway` the factor by which there will be more photons for the sake of the whole.
+pub fn plan_meshes(missed: &[Missed], spared: usize, target: f64, cost: PhotonCost, anyway: f64) -> MeshPlan {
     /// About half of the squared target for direct light, half for indirect light: estimates scatter, and one more round
     /// for a mesh that just missed its target costs more than it saves.
     const SHARE: f64 = 0.43;
@@ -175,16 +184,21 @@ pub fn plan_meshes(missed: &[Missed], spared: usize, target: f64, photon_cost: f
         0 => bounded(alone),
         n => bounded(f64::from(n) * (m.indirect / SHARE * 1.1).min(GATHER_GROWTH)),
     };
-    let cost = |m: &Missed| GATHER_RAY_COST * gather_rays(samples(m), m.texels);
+    let gathering = |m: &Missed| GATHER_RAY_COST * gather_rays(samples(m), m.texels);
     let photons_for = |m: &Missed| libm::pow(m.indirect / SHARE, 1.0 / SMOOTH_FALL);
     // What is gathered errs by its rays, or by the light that they look up. In a few texels this is hard to tell, and
     // more rays cost next to nothing.
     let hungry = |m: &&Missed| {
-        let by_rays = m.of_rays > 0.5 * m.indirect || cost(m) < CHEAP * photon_cost;
+        let by_rays = m.of_rays > 0.5 * m.indirect || gathering(m) < CHEAP * cost.diffuse;
         m.gathered > 0 && by_rays && samples(m) > f64::from(m.gathered)
     };
     let waits = |m: &&Missed| m.gathered > 0 && !hungry(m);
-    let price = |m: &Missed| if waits(&m) { photon_cost * photons_for(m).max(GATHER_AGAIN as f64) } else { cost(m) };
+    // What direct and other indirect light leave of the squared target is for caustics.
+    let caustics_for = |m: &Missed| caustic_growth(m.caustic / (0.95 - m.direct.min(SHARE) - m.indirect.min(SHARE)));
+    let price = |m: &Missed| {
+        let indirect = if waits(&m) { cost.diffuse * photons_for(m).max(GATHER_AGAIN as f64) } else { gathering(m) };
+        indirect + cost.caustic * (caustics_for(m) - 1.0)
+    };
     let mut meshes: Vec<&Missed> = missed.iter().collect();
     meshes.sort_by(|a, b| price(b).total_cmp(&price(a)).then(a.instance.cmp(&b.instance)));
     let meshes = &meshes[spared.min(meshes.len())..];
@@ -200,18 +214,16 @@ pub fn plan_meshes(missed: &[Missed], spared: usize, target: f64, photon_cost: f
     let growth = |k: usize| by_growth.get(k).map_or(least, |g| g.0);
     let (mut best, mut gathered_cost) = ((f64::INFINITY, 0), 0.0);
     for k in 0..=by_growth.len() {
-        let total = gathered_cost + photon_cost * (growth(k) - 1.0);
+        let total = gathered_cost + cost.diffuse * (growth(k) - 1.0);
         if total < best.0 {
             best = (total, k);
         }
-        gathered_cost += by_growth.get(k).map_or(0.0, |g| cost(g.1));
+        gathered_cost += by_growth.get(k).map_or(0.0, |g| gathering(g.1));
     }
-    // What direct and other indirect light leave of the squared target.
-    let left_for_caustics = |m: &Missed| 0.95 - m.direct.min(SHARE) - m.indirect.min(SHARE);
     let new = by_growth[..best.1].iter().map(|g| g.1);
     MeshPlan {
         photons: growth(best.1),
-        caustics: meshes.iter().map(|m| caustic_growth(m.caustic / left_for_caustics(m))).fold(1.0, f64::max),
+        caustics: meshes.iter().map(|m| caustics_for(m)).fold(1.0, f64::max),
         direct: meshes.iter().filter(|m| m.direct > SHARE).map(|m| (m.instance, m.direct / SHARE)).collect(),
         gather: new.chain(dim().filter(hungry)).map(|m| (m.instance, samples(m) as u32)).collect(),
     }
@@ -293,29 +305,34 @@ mod tests {
             of_rays: 0.0,
             smooths: true,
         };
+        let cost = |diffuse| PhotonCost { diffuse, caustic: 0.2 * diffuse };
         let meshes = [missed(0, 400.0, 30), missed(1, 1.2, 200_000), missed(2, 90.0, 100)];
-        let plan = plan_meshes(&meshes, 0, 0.15, 1e6, 1.0);
+        let plan = plan_meshes(&meshes, 0, 0.15, cost(1e6), 1.0);
         assert_eq!(plan.gather.iter().map(|g| g.0).collect::<Vec<_>>(), [0, 2]);
         assert!(plan.photons > 1.5 && plan.photons < 10.0, "{plan:?}");
         assert!(plan.direct.is_empty());
         // ... but if these are dear: smoothed over cells, what it gathers takes fewer rays.
-        let plan = plan_meshes(&meshes, 0, 0.15, 1e8, 1.0);
+        let plan = plan_meshes(&meshes, 0, 0.15, cost(1e8), 1.0);
         let [small, _, large] = plan.gather.as_slice() else { panic!("{plan:?}") };
         assert!(large.0 == 1 && small.0 == 0 && large.1 * 7 < small.1, "{plan:?}");
         // The dearest may be spared.
-        let plan = plan_meshes(&meshes, 1, 0.15, 1e6, 1.0);
+        let plan = plan_meshes(&meshes, 1, 0.15, cost(1e6), 1.0);
         assert_eq!(plan.photons, 1.0);
+        // ... which are those that only many more photons for caustics would help.
+        let thrown = Missed { caustic: 50.0, ..meshes[2] };
+        let plan = plan_meshes(&[meshes[0], thrown], 1, 0.15, cost(1e8), 1.0);
+        assert_eq!((plan.caustics, plan.gather.len()), (1.0, 1));
         // What is gathered grows by what is missing, where its rays are too few.
         let again = Missed { gathered: 89, indirect: 2.0, of_rays: 1.5, ..meshes[0] };
-        let plan = plan_meshes(&[again], 0, 0.15, 1e7, 1.0);
+        let plan = plan_meshes(&[again], 0, 0.15, cost(1e7), 1.0);
         assert_eq!(plan.gather, [(0, (89.0f64 * 2.0 / 0.43 * 1.1).ceil() as u32)]);
         assert_eq!(plan.photons, 1.0);
         // Where they are not, what they look up must get better.
-        let plan = plan_meshes(&[Missed { of_rays: 0.3, texels: 3000, ..again }], 0, 0.15, 1e7, 1.0);
+        let plan = plan_meshes(&[Missed { of_rays: 0.3, texels: 3000, ..again }], 0, 0.15, cost(1e7), 1.0);
         assert!(plan.gather.is_empty() && plan.photons >= GATHER_AGAIN as f64, "{plan:?}");
         // ... and where no more are allowed, likewise.
         let full = Missed { gathered: *GATHER_RANGE.end() as u32, ..again };
-        let plan = plan_meshes(&[full], 0, 0.15, 1e7, 1.0);
+        let plan = plan_meshes(&[full], 0, 0.15, cost(1e7), 1.0);
         assert!(plan.gather.is_empty() && plan.photons >= GATHER_AGAIN as f64, "{plan:?}");
     }
 }

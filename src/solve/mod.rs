@@ -22,8 +22,8 @@ use forecast::{Falls, Outlook};
 use shots::Shots;
 
 use crate::accuracy::{
-    Audit, CAUSTIC_SHARE, Caustics, Halves, MeshError, Missed, Spent, TexelError, TexelWeights, Unseen, caustic_growth,
-    cheapest_growth, gather_rays, plan_meshes,
+    Audit, CAUSTIC_SHARE, Caustics, Halves, MeshError, Missed, PhotonCost, Spent, TexelError, TexelWeights, Unseen,
+    caustic_growth, cheapest_growth, gather_rays, plan_meshes,
 };
 use crate::cell::Gathered;
 use crate::error::BakeError;
@@ -445,7 +445,8 @@ impl Solver<'_, '_> {
         let mut round = Round { samples: (samples * (x - 1.0)).ceil().min(1e18) as u64, ..Round::default() };
         if s.mesh_percent > mesh_target {
             // What a mesh needs beyond that: most of them get better with the whole.
-            let plan = plan_meshes(&s.missed, s.meshes.len() / 20, mesh_target / 100.0, spent.photon_cost, y_all);
+            let cost = PhotonCost { diffuse: spent.photon_cost, caustic: self.caustics.ledger.rays as f64 };
+            let plan = plan_meshes(&s.missed, s.meshes.len() / 20, mesh_target / 100.0, cost, y_all);
             y *= plan.photons / y_all;
             z = z.max(plan.caustics);
             // Light is gathered from what photons found: not before that is about good enough by itself. A look all the
