@@ -4,14 +4,14 @@ use crate::accel::{Accel, coincident_warning, part_coincident};
 use crate::accuracy::TexelWeights;
 use crate::atlas::{self, Atlas, Texels, Unwrapping};
 use crate::error::{BakeError, Warning};
-use crate::light::{Emitters, LightSettings, Lighting, Visibility};
+use crate::light::{Emitters, LightGroup, LightSettings, Lighting, Visibility};
 use crate::lightmap::{GridPoints, Lightmap, shown_error};
 use crate::observer::{Observer, Stage};
 use crate::options::{BakeOptions, Lights, UvSource};
 use crate::pilot::adapt_density;
-use crate::report::{AtlasSummary, Energy, Report, Seconds, Split, Work};
+use crate::report::{AtlasSummary, Energy, GroupReport, Report, Seconds, Split, Work};
 use crate::scene::{Scene, SurfaceFlags, World};
-use crate::solve::{LightSeconds, Solution, Surface, solve};
+use crate::solve::{LightSeconds, Solution, Surface, solve_groups};
 use std::time::Instant;
 
 /// A finished bake.
@@ -67,8 +67,8 @@ fn bake_here<'s>(scene: &'s Scene, options: &BakeOptions, observer: &mut dyn Obs
     let accel = Accel::build(&world.positions, |t| world.flags[t as usize].has(SurfaceFlags::UNSEEN));
     seconds.accel = clock.lap();
     let visibility = Visibility::new(&world, &accel);
-    let emitters =
-        Emitters::new(&world, &lighting, LightSettings { indirect_only: options.lights == Lights::Indirect });
+    let settings = LightSettings { indirect_only: options.lights == Lights::Indirect, group: None };
+    let emitters = Emitters::new(&world, &lighting, settings);
     let mut pilot = None;
     if let Some(unwrapping) = unwrapping.as_mut().filter(|_| options.adapts_density()) {
         observer.stage(Stage::Pilot);
@@ -81,7 +81,7 @@ fn bake_here<'s>(scene: &'s Scene, options: &BakeOptions, observer: &mut dyn Obs
         None => atlas::build(scene, options, &|| observer.cancelled())?,
     };
     drop(unwrapping);
-    atlas::check_memory(&world, &atlas, options.memory_limit)?;
+    atlas::check_memory(&world, &atlas, options)?;
     seconds.atlas += clock.lap();
     let go_on = |observer: &dyn Observer| if observer.cancelled() { Err(BakeError::Cancelled) } else { Ok(()) };
     let texels = Texels::new(&world, &atlas);
@@ -94,7 +94,9 @@ fn bake_here<'s>(scene: &'s Scene, options: &BakeOptions, observer: &mut dyn Obs
     observer.stage(Stage::Light);
     let path = surface.path(&emitters, &visibility);
     let weights = TexelWeights::of_values(&world, &surface.texels, &surface.open, options.texel_value);
-    let solution = solve(path, weights, options, clock.began, observer)?;
+    let apart = |group: &LightGroup| Emitters::new(&world, &lighting, LightSettings { group: Some(group), ..settings });
+    let groups = lighting.groups.iter().map(|group| (group.clone(), apart(group))).collect();
+    let solution = solve_groups(path, groups, weights, options, clock.began, observer)?;
     LightSeconds {
         direct: seconds.direct,
         photons: seconds.photons,
@@ -193,11 +195,12 @@ fn report(
         split: Split { direct: 0.0, indirect: 0.0 },
         mean_irradiance: 0.0,
         meshes: solution.meshes.clone(),
+        groups: solution.groups.iter().map(GroupReport::new).collect(),
         history: solution.history.clone(),
         work: Work {
             direct_samples: solution.direct_samples,
             direct_rays: solution.direct_rays,
-            photons: solution.history.last().map_or(0, |h| h.photons),
+            photons: solution.photons,
             photon_rays: solution.ledger.rays,
             deposits: solution.ledger.deposits,
             caustic_photons: solution.caustic_photons,

@@ -27,10 +27,21 @@ pub struct LightmapPage {
     pub half_difference: Vec<[f32; 3]>,
     /// Irradiance of the back side where double-sided surfaces are stored as two layers; empty otherwise.
     pub back: Vec<[f32; 3]>,
+    /// Irradiance of each group of lights, where they are kept apart: `irradiance` is their sum. Filled likewise.
+    pub groups: Vec<GroupLayer>,
     /// Share of the texel's square inside its chart, in [0, 1]; 0 in gutters.
     pub coverage: Vec<f32>,
     /// Surface area mapped to the texel (m2).
     pub area: Vec<f32>,
+}
+
+/// Light of a group of lights on a page.
+#[derive(Debug, Clone, Default)]
+pub struct GroupLayer {
+    /// Name of the group.
+    pub name: String,
+    /// Irradiance (lux), as that of the page.
+    pub irradiance: Vec<[f32; 3]>,
 }
 
 use crate::atlas::{Atlas, Texels};
@@ -40,6 +51,15 @@ use crate::solve::Solution;
 use glam::{DVec2, Vec3};
 
 impl LightmapPage {
+    /// Gives the texel `at` of the page the light of texel `texel` of the map.
+    fn set(&mut self, at: usize, texel: usize, solution: &Solution) {
+        self.irradiance[at] = solution.total.mean(texel).to_array();
+        self.half_difference[at] = solution.total.difference(texel).to_array();
+        for (layer, group) in self.groups.iter_mut().zip(&solution.groups) {
+            layer.irradiance[at] = group.light[texel].to_array();
+        }
+    }
+
     /// What a bilinear filter shows of `values`, one per texel of this page, at texel coordinates `at`, clamped to the
     /// page; `None` where the page lacks texels or `at` is not finite.
     pub fn filtered(&self, values: &[[f32; 3]], at: DVec2) -> Option<Vec3> {
@@ -81,6 +101,11 @@ impl Lightmap {
                     height: p.height,
                     irradiance: vec![[0.0; 3]; n],
                     half_difference: vec![[0.0; 3]; n],
+                    groups: solution
+                        .groups
+                        .iter()
+                        .map(|g| GroupLayer { name: g.group.name.clone(), irradiance: vec![[0.0; 3]; n] })
+                        .collect(),
                     back: if split { vec![[0.0; 3]; n] } else { Vec::new() },
                     coverage: vec![0.0; n],
                     area: vec![0.0; n],
@@ -98,8 +123,7 @@ impl Lightmap {
                 page.back[at] = solution.total.mean(i).to_array();
                 continue;
             }
-            page.irradiance[at] = solution.total.mean(i).to_array();
-            page.half_difference[at] = solution.total.difference(i).to_array();
+            page.set(at, i, solution);
             page.coverage[at] = t.coverage;
             page.area[at] = (f64::from(t.area) * metres2) as f32;
         }
@@ -110,8 +134,7 @@ impl Lightmap {
             let t = &texels.texels[under];
             // What another side of the same place shows is left as it is.
             if (page.coverage[at] == 0.0 || solution.weights.stored[under]) && !(split && t.back) {
-                page.irradiance[at] = solution.total.mean(upon as usize).to_array();
-                page.half_difference[at] = solution.total.difference(upon as usize).to_array();
+                page.set(at, upon as usize, solution);
                 page.coverage[at] = t.coverage;
             }
         }

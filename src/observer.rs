@@ -52,6 +52,9 @@ pub trait Observer: Send + Sync {
     /// A stage begins.
     fn stage(&mut self, _stage: Stage) {}
 
+    /// The light of a group of lights is traced from now on: number `_number` of `_count`, from 1.
+    fn group(&mut self, _name: &str, _number: usize, _count: usize) {}
+
     /// Called between units of work.
     fn progress(&mut self, _progress: &Progress) {}
 

@@ -43,6 +43,10 @@ pub struct BakeOptions {
     pub sun: Option<Sun>,
     /// Which part of the light is baked. Default: all of it.
     pub lights: Lights,
+    /// Groups of lights whose light is kept apart: the name of a group, and a name of lights that are in it, as
+    /// [`Changes`](crate::scene::Changes) takes it, `sun` and `sky` for those of these options. Of several that fit, the
+    /// last holds; what is in none is the group `rest`. Default: none.
+    pub groups: Vec<(String, String)>,
     /// Which normals receive light. Default: smooth.
     pub normals: Normals,
     /// Which side of a double-sided surface is stored. Default: automatic.
@@ -85,6 +89,7 @@ impl Default for BakeOptions {
             sky_scale: 1.0,
             sun: None,
             lights: Lights::All,
+            groups: Vec::new(),
             normals: Normals::Smooth,
             double_sided: DoubleSided::Auto,
             texel_value: TexelValue::Open,
@@ -244,6 +249,12 @@ impl BakeOptions {
     /// The target per mesh in force. Unit: percent.
     pub fn mesh_target(&self) -> f64 {
         self.target_mesh_percent.unwrap_or(3.0 * self.target_percent)
+    }
+
+    /// Most groups of lights that are kept apart.
+    pub fn most_groups(&self) -> usize {
+        let names: std::collections::BTreeSet<&str> = self.groups.iter().map(|(group, _)| group.as_str()).collect();
+        if names.is_empty() { 0 } else { names.len() + 1 }
     }
 
     /// Whether a pilot says where texels go.

@@ -94,7 +94,7 @@ pub fn adapt_density(
             Err(BakeError::Cancelled) => return Err(BakeError::Cancelled),
             Err(_) => break,
         };
-        if check_memory(world, &atlas, options.memory_limit).is_err() {
+        if check_memory(world, &atlas, options).is_err() {
             break;
         }
         let places = unwrapping.places(&atlas);

@@ -6,6 +6,7 @@ use crate::lightmap::Shown;
 use crate::observer::{Progress, Remaining};
 use crate::options::Quantity;
 use crate::photon::EnergyLedger;
+use crate::solve::GroupSolution;
 use serde::Serialize;
 
 /// The convergence report. Errors are in percent of the mean irradiance, as the README defines them.
@@ -27,7 +28,8 @@ pub struct Report {
     pub target_shown_percent: Option<f64>,
     /// All targets are met.
     pub target_met: bool,
-    /// What ended the bake where a target is not met: `time-limit`, `max-photons`, `samples`, `texels`.
+    /// What ended the bake where a target is not met: `time-limit`, `max-photons`, `samples`, `texels`, or
+    /// `audit` where that of groups of lights together finds what theirs did not.
     pub limit: Option<&'static str>,
     /// Noise of the stored mean: sqrt( sum a (E_odd - E_even)^2 / (4 sum a) ) over the mean.
     pub sigma: f64,
@@ -67,7 +69,9 @@ pub struct Report {
     pub mean_irradiance: f64,
     /// Per node.
     pub meshes: Vec<MeshError>,
-    /// One entry per round.
+    /// Per group of lights that is kept apart, in the order of the layers.
+    pub groups: Vec<GroupReport>,
+    /// One entry per round; with groups, one for all of them.
     pub history: Vec<HistoryEntry>,
     /// What was traced.
     pub work: Work,
@@ -85,6 +89,49 @@ pub struct Report {
     pub peak_memory_bytes: Option<u64>,
     /// Seconds per stage: with the memory the only part that differs between runs.
     pub seconds: Seconds,
+}
+
+/// How well the light of a group of lights is known, relative to its own mean.
+#[derive(Debug, Clone, Serialize)]
+pub struct GroupReport {
+    /// Name of the group and of its layer in the maps.
+    pub name: String,
+    /// Names of its lights, of materials that emit, and `sky`.
+    pub lights: Vec<String>,
+    /// Its targets are met.
+    pub target_met: bool,
+    /// What ended it where they are not.
+    pub limit: Option<&'static str>,
+    /// Error of the texels of its layer.
+    pub texel_error_percent: f64,
+    /// 95 % interval of that.
+    pub texel_error_interval: [f64; 2],
+    /// Error that 95 % of the meshes are under, each relative to its light of this group.
+    pub mesh_error_percent_95: f64,
+    /// Area-weighted mean irradiance (lux) over channels.
+    pub mean_irradiance: f64,
+    /// What path tracing says of the texel error; `null` where it was not asked.
+    pub audit: Option<Audit>,
+    /// One entry per round.
+    pub history: Vec<HistoryEntry>,
+}
+
+impl GroupReport {
+    /// What is known of a solved group.
+    pub fn new(solved: &GroupSolution) -> GroupReport {
+        GroupReport {
+            name: solved.group.name.clone(),
+            lights: solved.group.members.clone(),
+            target_met: solved.limit.is_none(),
+            limit: solved.limit,
+            texel_error_percent: solved.error.percent,
+            texel_error_interval: [solved.error.low, solved.error.high],
+            mesh_error_percent_95: solved.mesh_percent,
+            mean_irradiance: solved.error.mean,
+            audit: solved.audit.ok(),
+            history: solved.history.clone(),
+        }
+    }
 }
 
 /// Noise by source.

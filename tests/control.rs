@@ -393,7 +393,7 @@ fn what_is_wrong_in_a_file_is_named_with_its_line() {
         ("\ndensity = \"dense\"\n", "line 2: --density dense"),
         ("light = [\"bulb\"]\n", "line 1: --light bulb: takes NAME=full"),
         ("[light.bulb]\nbake = \"half\"\n", "line 2: a light is baked full, indirect or off, not `half`"),
-        ("[light.bulb]\nbake = true\nscael = 1\n", "line 3: a light has no `scael`; it has bake, scale and ies"),
+        ("[light.bulb]\nbake = true\nscael = 1\n", "line 3: a light has no `scael`; it has bake, scale, ies and group"),
         ("[light.bulb]\nscale = \"1\"\n", "line 2: `scale` takes a number"),
         ("[light.bulb]\nies = 5\n", "line 2: `ies` takes the name of a file"),
         ("[light]\nbulb = \"dim\"\n", "line 2: a light is baked"),

@@ -15,6 +15,7 @@ fn page(width: u32, height: u32) -> LightmapPage {
         height,
         irradiance: rgb(1.0),
         half_difference: rgb(-0.25),
+        groups: Vec::new(),
         back: rgb(3.0),
         coverage: (0..n).map(|i| i as f32 / n as f32).collect(),
         area: (0..n).map(|i| 1e-9 * i as f32).collect(),

@@ -165,6 +165,40 @@ impl TexelError {
         self.stated(unseen.square, spread, spread)
     }
 
+    /// Of the sum of two maps with noise of their own; bias adds up, as it does at worst.
+    pub fn plus(&self, other: &TexelError) -> TexelError {
+        let mean = self.mean + other.mean;
+        if mean <= 0.0 {
+            return TexelError::default();
+        }
+        let shares = [self.mean / mean, other.mean / mean];
+        let both = |of: fn(&TexelError) -> f64| [shares[0] * of(self), shares[1] * of(other)];
+        let apart = |of| both(of).into_iter().fold(0.0, f64::hypot);
+        let alike = |of| both(of).into_iter().sum::<f64>();
+        let (sigma, cell_bias, unseen) = (apart(|e| e.sigma), alike(|e| e.cell_bias), alike(|e| e.unseen));
+        let square = sigma * sigma + cell_bias * cell_bias + unseen * unseen;
+        // Ends of squared errors that err by themselves.
+        let reach =
+            |of: fn(&TexelError) -> f64| both(of).into_iter().fold(0.0, |sum: f64, root| sum.hypot(root * root));
+        let above = reach(|e| (e.high * e.high - e.percent * e.percent).max(0.0).sqrt());
+        let below = reach(|e| (e.percent * e.percent - e.low * e.low).max(0.0).sqrt());
+        let worst = |a: f64, b: f64| if other.sigma * shares[1] > self.sigma * shares[0] { b } else { a };
+        TexelError {
+            mean,
+            sigma,
+            direct: apart(|e| e.direct),
+            indirect: apart(|e| e.indirect),
+            cell_bias,
+            cell_bias_resolution: apart(|e| e.cell_bias_resolution),
+            unseen,
+            percent: square.sqrt(),
+            low: (square - below).max(0.0).sqrt(),
+            high: (square + above).sqrt(),
+            luminance_percent: apart(|e| e.luminance_percent),
+            outlier_share: worst(self.outlier_share, other.outlier_share),
+        }
+    }
+
     /// The same with another unseen square, where the interval of the whole square reaches so far `below` and `above`.
     fn stated(&self, unseen: f64, below: f64, above: f64) -> TexelError {
         let beyond = unseen - self.unseen.powi(2);

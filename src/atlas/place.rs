@@ -34,7 +34,7 @@ impl Unwrapping<'_> {
             Density::TexelsPerMetre(_) if !found.as_ref().is_ok_and(|a| a.pages.len() == 1) => with(Density::Even)?,
             _ => found?,
         };
-        within_memory(atlas, world, options.memory_limit, &with)
+        within_memory(atlas, world, options, &with)
     }
 }
 
@@ -42,15 +42,15 @@ impl Unwrapping<'_> {
 fn within_memory(
     mut atlas: Atlas,
     world: &World,
-    limit: u64,
+    options: &BakeOptions,
     with: &dyn Fn(Density) -> Result<Atlas, BakeError>,
 ) -> Result<Atlas, BakeError> {
-    let full = atlas.texels_per_metre;
+    let (full, limit) = (atlas.texels_per_metre, options.memory_limit);
     // Memory is a part that remains, and one in proportion to the square of the density: none known yet.
     let (mut remains, mut last) = (0.0, None);
     let most = MEMORY_MARGIN * limit as f64;
     for _ in 0..MEMORY_TRIES {
-        let (asked, square) = (memory_bytes(world, &atlas), atlas.texels_per_metre.powi(2));
+        let (asked, square) = (memory_bytes(world, &atlas, options), atlas.texels_per_metre.powi(2));
         if asked <= limit {
             break;
         }

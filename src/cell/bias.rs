@@ -26,6 +26,12 @@ impl Bias {
         Bias { square: self.square + other.square, variance: self.variance + other.variance }
     }
 
+    /// Of both where they add up, as they do at worst.
+    pub fn plus_alike(&self, other: &Bias) -> Bias {
+        let root = self.square.max(0.0).sqrt() + other.square.max(0.0).sqrt();
+        Bias { square: root * root, variance: self.variance + other.variance }
+    }
+
     fn add(&mut self, term: f64) {
         self.square += term;
         self.variance += term * term;

@@ -62,8 +62,8 @@ pub struct BakeArgs {
     #[arg(long, value_name = "NAME")]
     pub variant: Option<String>,
 
-    /// A TOML file that says what these flags would: each by its long name, and tables [light.NAME] with bake, scale and
-    /// ies, [node.NAME] with weight, density, bake, casts and receives. What is said here wins. Paths in it are relative
+    /// A TOML file that says what these flags would: each by its long name, and tables [light.NAME] with bake, scale,
+    /// ies and group, [node.NAME] with weight, density, bake, casts and receives. What is said here wins. Paths in it are relative
     /// to it.
     #[arg(long, value_name = "FILE")]
     config: Option<PathBuf>,
@@ -133,6 +133,11 @@ pub struct BakeArgs {
     /// light. Names as of --light. May be repeated.
     #[arg(long, value_name = "NAME=FILE", help_heading = "Light")]
     ies: Vec<String>,
+    /// GROUP=NAME: keep the light of these lights apart, as a layer `GROUP.R`, `.G`, `.B` of the maps beside their sum, to dim
+    /// or colour it later. Names as of --light, `sun` and `sky`; what is in no group is the layer `rest`. Each meets the
+    /// targets by itself. May be repeated.
+    #[arg(long, value_name = "GROUP=NAME", help_heading = "Light")]
+    group: Vec<String>,
     /// Leave lights out of scene.glb whose direct light is in the maps.
     #[arg(long, help_heading = "Light")]
     remove_baked_lights: bool,
@@ -223,6 +228,7 @@ impl BakeArgs {
             sky_scale: self.sky_scale,
             sun: self.sun.as_deref().map(sun).transpose()?,
             lights: if self.lights == "indirect" { Lights::Indirect } else { Lights::All },
+            groups: self.group.iter().map(|text| group(text)).collect::<Result<_, _>>()?,
             normals: if self.normals == "geometric" { Normals::Geometric } else { Normals::Smooth },
             double_sided: match self.double_sided.as_str() {
                 "front" => DoubleSided::Front,
@@ -293,6 +299,14 @@ impl BakeArgs {
             .map_err(|e| BakeError::Options(format!("--unwrapper xatlas: cannot find this program's own file: {e}")))?;
         Ok(Unwrapper::Xatlas { worker })
     }
+}
+
+/// GROUP=NAME.
+fn group(text: &str) -> Result<(String, String), BakeError> {
+    let parts = text.split_once('=').filter(|(group, name)| !group.is_empty() && !name.is_empty());
+    parts
+        .map(|(group, name)| (group.into(), name.into()))
+        .ok_or_else(|| BakeError::Options(format!("--group {text}: takes GROUP=NAME, such as lamps=spot*")))
 }
 
 /// NAME=full|indirect|off|SCALE.

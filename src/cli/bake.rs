@@ -6,7 +6,7 @@ use super::terminal::Terminal;
 use evenlight::output::glb::{self, GlbOptions};
 use evenlight::output::lightmap_exr::{self, ExrSettings};
 use evenlight::output::manifest::{Manifest, ManifestInputs};
-use evenlight::output::words::{audit, seconds};
+use evenlight::output::words::{audit, group, seconds};
 use evenlight::output::{Staging, preview, report_html, write_atomically};
 use evenlight::report::Report;
 use evenlight::scene::gltf::LoadOptions;
@@ -176,9 +176,10 @@ fn summary(r: &Report, folder: &Path) -> String {
         Some(limit) => format!("target {} % NOT met: ended by {limit}", r.target_percent),
     };
     let audit = r.audit.as_ref().map_or(String::new(), |a| format!("{}\n", audit(a)));
+    let groups: String = r.groups.iter().map(|g| format!("group {}: {}\n", g.name, group(g))).collect();
     let asked = r.target_shown_percent.map_or(String::new(), |target| format!(" (target {target} %)"));
     format!(
-        "{verdict}: texel error {:.2} % ({:.2} to {:.2}), 95 % of the meshes under {:.1} % (target {:.1} %)\n{audit}\
+        "{verdict}: texel error {:.2} % ({:.2} to {:.2}), 95 % of the meshes under {:.1} % (target {:.1} %)\n{groups}{audit}\
          with what filtering adds between texels: {:.2} %{asked}\n\
          {} texels, {} triangles, {:.1} M rays in {}; mean irradiance {:.4} lux\n\
          written to {}",

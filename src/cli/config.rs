@@ -48,7 +48,10 @@ pub fn expand(arguments: Vec<OsString>) -> Result<(Vec<OsString>, Option<Config>
     for (key, value) in in_order(table.get_ref()) {
         let at = At { config: &config.path, text: &text, key, place: key.span().start };
         match (key.get_ref().as_ref(), value.get_ref()) {
-            ("light", DeValue::Table(lights)) => config.changes.lights.extend(at.lights(lights)?),
+            ("light", DeValue::Table(lights)) => {
+                let changes = at.lights(lights, &mut added)?;
+                config.changes.lights.extend(changes);
+            }
             ("node", DeValue::Table(nodes)) => config.changes.nodes.extend(at.nodes(nodes)?),
             (name, value) => {
                 added.extend(at.flag(name, value, &given)?);
@@ -165,7 +168,7 @@ impl At<'_> {
             return Err(self.fail(first.strip_prefix("error: ").unwrap_or(first)));
         }
         // Lists of changes go before those of the command line; all else it replaces.
-        let adds = ["light", "ies"].contains(&name);
+        let adds = ["light", "ies", "group"].contains(&name);
         Ok(if there && !adds { Vec::new() } else { arguments })
     }
 
@@ -191,22 +194,29 @@ impl At<'_> {
         value.as_bool().ok_or_else(|| self.fail(format!("`{}` takes true or false", self.key.get_ref())))
     }
 
-    /// `[light.NAME]` with `bake`, `scale` and `ies`, or `light.NAME` as in `--light`.
-    fn lights(&self, table: &DeTable) -> Result<Vec<(String, LightChange)>, BakeError> {
-        let mut out = Vec::new();
+    /// `[light.NAME]` with `bake`, `scale`, `ies` and `group`, or `light.NAME` as in `--light`. Groups are added to
+    /// `arguments`.
+    fn lights(&self, table: &DeTable, arguments: &mut Vec<OsString>) -> Result<Vec<(String, LightChange)>, BakeError> {
+        let mut changes = Vec::new();
         for (name, value) in in_order(table) {
             let at = self.inner(name);
+            let mut group = None;
             let change = match value.get_ref() {
-                DeValue::Table(keys) => at.light(keys)?,
+                DeValue::Table(keys) => at.light(keys, &mut group)?,
                 DeValue::String(word) => LightChange { bake: Some(at.bake_mode(word)?), ..LightChange::default() },
                 number => LightChange { scale: Some(at.number(number)?), ..LightChange::default() },
             };
-            out.push((name.get_ref().clone().into_owned(), change));
+            let name = name.get_ref();
+            arguments.extend(group.map(|group| format!("--group={group}={name}").into()));
+            // `sun` and `sky`, which are none of the scene's, may have a group and no more.
+            if change != LightChange::default() {
+                changes.push((name.clone().into_owned(), change));
+            }
         }
-        Ok(out)
+        Ok(changes)
     }
 
-    fn light(&self, keys: &DeTable) -> Result<LightChange, BakeError> {
+    fn light(&self, keys: &DeTable, group: &mut Option<String>) -> Result<LightChange, BakeError> {
         let mut change = LightChange::default();
         for (key, value) in in_order(keys) {
             let at = self.inner(key);
@@ -216,7 +226,11 @@ impl At<'_> {
                 ("scale", value) => change.scale = Some(at.number(value)?),
                 ("ies", DeValue::String(file)) => change.ies = Some(at.path(file)),
                 ("ies", _) => return Err(at.fail("`ies` takes the name of a file")),
-                (other, _) => return Err(at.fail(format!("a light has no `{other}`; it has bake, scale and ies"))),
+                ("group", DeValue::String(name)) => *group = Some(name.clone().into_owned()),
+                ("group", _) => return Err(at.fail("`group` takes a name")),
+                (other, _) => {
+                    return Err(at.fail(format!("a light has no `{other}`; it has bake, scale, ies and group")));
+                }
             }
         }
         Ok(change)

@@ -78,6 +78,10 @@ impl Observer for Terminal {
         self.say(text.into());
     }
 
+    fn group(&mut self, name: &str, number: usize, count: usize) {
+        self.say(format!("group {name} ({number} of {count})"));
+    }
+
     fn progress(&mut self, p: &Progress) {
         if self.bar.is_none() {
             if self.last_line.is_some_and(|t| t.elapsed().as_secs_f64() < LINE_EVERY) {

@@ -1,5 +1,6 @@
 //! All emitters of a scene, and one sample of their light at a point.
 
+use super::groups::LightGroup;
 use super::lighting::Lighting;
 use super::polygon::SeenPolygon;
 use super::receiver::Receiver;
@@ -24,9 +25,17 @@ const PROPOSALS: u32 = 2;
 
 /// What to make of the lights.
 #[derive(Debug, Clone, Copy, Default)]
-pub struct LightSettings {
+pub struct LightSettings<'g> {
     /// Punctual lights are stored by their reflected light only.
     pub indirect_only: bool,
+    /// Leave out all that is not in this group.
+    pub group: Option<&'g LightGroup>,
+}
+
+impl LightSettings<'_> {
+    fn takes(&self, is_in: impl Fn(&LightGroup) -> bool) -> bool {
+        self.group.is_none_or(is_in)
+    }
 }
 
 /// A light without area, in the frame.
@@ -181,7 +190,9 @@ impl Emitters {
     pub fn new(world: &World, lighting: &Lighting, settings: LightSettings) -> Emitters {
         let mut looped = Vec::new();
         let mut punctual = Vec::new();
-        for light in lighting.lights.iter().filter(|l| l.bake != BakeMode::Off && l.intensity.max_element() > 0.0) {
+        let shines = |l: &Light| l.bake != BakeMode::Off && l.intensity.max_element() > 0.0;
+        let lights = lighting.lights.iter().enumerate().filter(|(i, l)| shines(l) && settings.takes(|g| g.lights[*i]));
+        for (_, light) in lights {
             let p = to_frame(light, world, settings);
             if matches!(p.shape, Shape::Directional { .. }) { looped.push(p) } else { punctual.push(p) }
         }
@@ -190,7 +201,9 @@ impl Emitters {
         }
         let (mut bounds, mut tree_lights) = (Vec::new(), Vec::new());
         for id in 0..world.len() as u32 {
-            if let Some(b) = triangle_bounds(world, id) {
+            if let Some(b) = triangle_bounds(world, id)
+                && settings.takes(|g| g.materials[world.material_index(id)])
+            {
                 bounds.push(b);
                 let radiance = b.power / world.area(id) as f32;
                 tree_lights.push(TreeLight::Triangle { id, both_sides: b.two_sided, radiance });
@@ -200,7 +213,7 @@ impl Emitters {
             bounds.push(punctual_bounds(p));
             tree_lights.push(TreeLight::Punctual(i as u32));
         }
-        let sky = lighting.sky.as_ref().and_then(SkySampler::new);
+        let sky = lighting.sky.as_ref().filter(|_| settings.takes(|g| g.sky)).and_then(SkySampler::new);
         Emitters { looped, punctual, tree: LightTree::new(&bounds), tree_lights, sky }
     }
 

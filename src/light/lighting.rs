@@ -1,5 +1,6 @@
 //! The lights of a bake: those of the scene, and those that the options add.
 
+use super::groups::LightGroup;
 use crate::error::{BakeError, Warning};
 use crate::options::{BakeOptions, SkySource};
 use crate::scene::{BakeMode, ClearSky, Light, LightKind, Scene, Sky};
@@ -12,6 +13,8 @@ pub struct Lighting {
     pub lights: Vec<Light>,
     /// Light from beyond the geometry.
     pub sky: Option<Sky>,
+    /// Groups of them whose light is kept apart; none where none are asked for.
+    pub groups: Vec<LightGroup>,
     /// What was odd about them.
     pub warnings: Vec<Warning>,
 }
@@ -20,7 +23,7 @@ impl Lighting {
     /// The lights of `scene` with the sky and sun of `options`. A sky in the options replaces the scene's.
     ///
     /// # Errors
-    /// A sky file that cannot be read.
+    /// A sky file that cannot be read, or a group of lights that nothing is in.
     pub fn new(scene: &Scene, options: &BakeOptions) -> Result<Lighting, BakeError> {
         let mut lights = scene.lights.clone();
         let mut warnings = Vec::new();
@@ -52,6 +55,7 @@ impl Lighting {
                 bake: BakeMode::Full,
             });
         }
-        Ok(Lighting { lights, sky, warnings })
+        let groups = LightGroup::all(scene, &lights, sky.is_some(), &options.groups)?;
+        Ok(Lighting { lights, sky, groups, warnings })
     }
 }

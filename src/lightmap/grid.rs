@@ -234,6 +234,7 @@ pub fn coarser(page: &LightmapPage) -> LightmapPage {
         height,
         irradiance: vec![[0.0; 3]; n],
         half_difference: vec![[0.0; 3]; n],
+        groups: Vec::new(),
         back: Vec::new(),
         coverage: vec![0.0; n],
         area: vec![0.0; n],

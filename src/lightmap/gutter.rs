@@ -5,8 +5,8 @@ use rayon::prelude::*;
 
 type Rgb = [f32; 3];
 
-/// Fills the texels without coverage of `irradiance`, `half_difference` and `back`: `gutter` rings around the charts with the
-/// mean of their known neighbours, and all the rest from a pyramid of means (push-pull: Gortler et al., "The
+/// Fills the texels without coverage of `irradiance`, that of groups, `half_difference` and `back`: `gutter` rings around the
+/// charts with the mean of their known neighbours, and all the rest from a pyramid of means (push-pull: Gortler et al., "The
 /// Lumigraph", 1996, section 3.4.1), so that every mip level shows the mean of what is covered nearby.
 ///
 /// What stands in uncovered texels is never read: the result depends on covered texels only. A page without
@@ -19,7 +19,8 @@ pub fn fill_gutters(page: &mut LightmapPage, gutter: u32) {
         return;
     }
     let known: Vec<bool> = page.coverage.iter().map(|&c| c > 0.0).collect();
-    for image in [&mut page.irradiance, &mut page.half_difference, &mut page.back] {
+    let groups = page.groups.iter_mut().map(|g| &mut g.irradiance);
+    for image in [&mut page.irradiance, &mut page.half_difference, &mut page.back].into_iter().chain(groups) {
         if image.len() == n {
             let mut known = known.clone();
             image.par_iter_mut().zip(&known).filter(|(_, k)| !**k).for_each(|(t, _)| *t = [0.0; 3]);

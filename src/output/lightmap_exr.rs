@@ -1,7 +1,7 @@
 //! One lightmap page as an OpenEXR file.
 //!
 //! In: a [`LightmapPage`] in lux. Out: a single-part scan line file with ZIP16 compression, channels `R G B`
-//! plus the extra layers asked for as `layer.R` (or plain `layer` where a layer has one channel), row 0 at
+//! plus one layer `group.R` for each group of lights that is kept apart, and the extra layers asked for as `layer.R` (or plain `layer` where a layer has one channel), row 0 at
 //! v = 0 as glTF and OpenEXR both have it. The header says what the numbers are, so that a file without its
 //! manifest can still be used right. Equal pages give equal bytes.
 
@@ -141,7 +141,7 @@ fn encode(page: &LightmapPage, settings: &ExrSettings) -> Result<(Vec<u8>, ExrIn
     if n == 0 {
         return Err(format!("the page has no texels ({width} x {height})"));
     }
-    let check = |what, len| if len == n { Ok(()) } else { Err(format!("{what} has {len} of {n} texels")) };
+    let check = |what: &str, len| if len == n { Ok(()) } else { Err(format!("{what} has {len} of {n} texels")) };
     check("irradiance", page.irradiance.len())?;
     let scale = scale_of(settings.quantity);
 
@@ -153,6 +153,10 @@ fn encode(page: &LightmapPage, settings: &ExrSettings) -> Result<(Vec<u8>, ExrIn
 
     let mut channels = ex::SmallVec::new();
     add_rgb(&mut channels, "", &page.irradiance, scale, float);
+    for group in &page.groups {
+        check(&format!("group {}", group.name), group.irradiance.len())?;
+        add_rgb(&mut channels, &format!("{}.", group.name), &group.irradiance, scale, float);
+    }
     for &layer in &settings.layers {
         match layer {
             Layer::Back if page.back.is_empty() => {}

@@ -44,6 +44,9 @@ pub struct Manifest {
     pub lights: Vec<ManifestLight>,
     /// The light of the sky is in the maps.
     pub sky_baked: bool,
+    /// Groups of lights that have layers of their own in the maps, `name.R`, `name.G` and `name.B`; the main layer is their
+    /// sum.
+    pub groups: Vec<ManifestGroup>,
     /// What the numbers mean, in words.
     pub conventions: Conventions,
 }
@@ -59,6 +62,15 @@ pub struct ManifestPage {
     pub height: u32,
     /// Share of the page that charts cover, in [0, 1].
     pub coverage: f64,
+}
+
+/// A group of lights.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct ManifestGroup {
+    /// Its name and that of its layer.
+    pub name: String,
+    /// Names of its lights, of materials that emit, and `sky`.
+    pub lights: Vec<String>,
 }
 
 /// A baked node.
@@ -174,6 +186,11 @@ impl Manifest {
                 })
                 .collect(),
             sky_baked: lighting.sky.is_some(),
+            groups: lighting
+                .groups
+                .iter()
+                .map(|g| ManifestGroup { name: g.name.clone(), lights: g.members.clone() })
+                .collect(),
             conventions: conventions(over_pi),
         }
     }

@@ -1,6 +1,7 @@
 //! Numbers as a person says them, and text from strangers made safe for HTML.
 
 use crate::accuracy::{Audit, Verdict};
+use crate::report::GroupReport;
 
 /// Seconds with their unit, or minutes, or hours.
 pub fn seconds(s: f64) -> String {
@@ -52,6 +53,18 @@ pub fn audit(a: &Audit) -> String {
     };
     let [low, high] = a.error_interval.map(figures);
     format!("{verdict}: {} % ({low} to {high}) in {texels} texels", figures(a.error_percent))
+}
+
+/// What is known of the light of a group, in a sentence.
+pub fn group(g: &GroupReport) -> String {
+    let [low, high] = g.texel_error_interval.map(figures);
+    let limit = g.limit.map_or(String::new(), |limit| format!(", NOT met: ended by {limit}"));
+    format!(
+        "{} % ({low} to {high}), 95 % of the meshes under {} %, mean {} lux{limit}",
+        figures(g.texel_error_percent),
+        figures(g.mesh_error_percent_95),
+        figures(g.mean_irradiance)
+    )
 }
 
 /// Text for HTML, between tags or in a quoted attribute, cut after `most` characters. Control characters, which no

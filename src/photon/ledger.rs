@@ -30,6 +30,22 @@ pub struct EnergyLedger {
 }
 
 impl EnergyLedger {
+    /// The same in steps of the flux `to`, where it was in steps of `from`: both powers of two, `to` the smaller.
+    pub fn in_steps(&self, from: f64, to: f64) -> EnergyLedger {
+        let factor = if from > 0.0 && to > 0.0 { (from / to).round() as i128 } else { 1 };
+        let times = |flux: [i128; 3]| flux.map(|f| f * factor);
+        EnergyLedger {
+            emitted: times(self.emitted),
+            roulette: times(self.roulette),
+            absorbed: times(self.absorbed),
+            back_absorbed: times(self.back_absorbed),
+            escaped: times(self.escaped),
+            cut: times(self.cut),
+            deposited: times(self.deposited),
+            ..*self
+        }
+    }
+
     /// `emitted + roulette - absorbed - back_absorbed - escaped - cut` per channel: 0.
     pub fn imbalance(&self) -> [i128; 3] {
         std::array::from_fn(|c| {

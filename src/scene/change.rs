@@ -195,16 +195,18 @@ impl Scene {
     }
 
     /// Materials that emit and are used.
-    fn emissive_materials(&self) -> BTreeSet<usize> {
+    pub(crate) fn emissive_materials(&self) -> BTreeSet<usize> {
         let used = self.meshes.iter().flat_map(|m| &m.primitives).map(|p| p.material);
         used.filter(|&i| self.materials[i].emission.max_element() > 0.0 && !self.materials[i].unlit).collect()
     }
 
-    fn node_name(&self, light: &Light) -> Option<&str> {
+    /// Name of the node of a light.
+    pub(crate) fn node_name(&self, light: &Light) -> Option<&str> {
         self.source.json.get("nodes")?.get(light.node?)?.get("name")?.as_str()
     }
 
-    fn light_names(&self) -> String {
+    /// The names that lights go by, in words.
+    pub(crate) fn light_names(&self) -> String {
         let lights = self.lights.iter().flat_map(|l| [Some(l.name.as_str()), self.node_name(l)]).flatten();
         let lamps = self.emissive_materials();
         let materials = lamps.iter().map(|&i| self.materials[i].name.as_str());
@@ -244,7 +246,7 @@ fn check(changes: &Changes) -> Result<(), BakeError> {
 }
 
 /// Whether `pattern`, which may end in `*`, stands for `name`.
-fn fits(pattern: &str, name: &str) -> bool {
+pub(crate) fn fits(pattern: &str, name: &str) -> bool {
     pattern == name || pattern.strip_suffix('*').is_some_and(|start| name.starts_with(start))
 }
 

@@ -280,7 +280,12 @@ impl<'s> World<'s> {
 
     /// The material of a triangle.
     pub fn material(&self, triangle: u32) -> &'s Material {
-        &self.scene.materials[self.primitive(triangle).0.material]
+        &self.scene.materials[self.material_index(triangle)]
+    }
+
+    /// The number of that material in the scene.
+    pub fn material_index(&self, triangle: u32) -> usize {
+        self.primitive(triangle).0.material
     }
 
     /// Unit interpolated normal on the front side, turned to within the front hemisphere of the geometric

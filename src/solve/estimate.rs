@@ -65,7 +65,7 @@ impl Solver<'_, '_> {
         let DirectLight { apart, soft } = self.direct_light(&indirect);
         let direct = soft.as_ref().map_or_else(|| apart.clone(), |soft| apart.plus(&soft.halves));
         let total = direct.plus(&indirect);
-        let weights = self.stored_weights(&total);
+        let weights = stored_weights(self.path.surface, &self.weights, self.options.double_sided, &total);
 
         let weight = |k: usize| {
             let i = tree.elements[k].texel as usize;
@@ -137,6 +137,7 @@ impl Solver<'_, '_> {
             weights,
             error,
             meshes,
+            biases: all_biases,
             mesh_percent,
             area_within_target,
             cells: found.cells,
@@ -149,12 +150,14 @@ impl Solver<'_, '_> {
             squares,
             by_photons,
             missed,
+            groups: Vec::new(),
             limit: None,
             audit: Err("audit: not asked for"),
             history: Vec::new(),
             rounds: Vec::new(),
             direct_samples: self.direct.all_samples(),
             direct_rays: self.direct.rays(),
+            photons: self.diffuse.photons * 2,
             caustic_photons: self.caustics.photons * 2,
             caustic_rays: self.caustics.ledger.rays,
             gather_rays: self.gather_rays,
@@ -273,32 +276,37 @@ impl Solver<'_, '_> {
         let share = if whole { f64::from(self.path.surface.open[texel]).powi(2) } else { 1.0 };
         weights.weight[texel] * share
     }
+}
 
-    /// Weights with the sides that are not stored set to 0.
-    pub(super) fn stored_weights(&self, total: &Halves) -> TexelWeights {
-        let texels = &self.path.surface.texels.texels[..self.path.surface.texels.mapped];
-        let mut weights = self.weights.clone();
-        match self.options.double_sided {
-            DoubleSided::Split => {}
-            DoubleSided::Front => {
-                (0..texels.len()).filter(|&i| texels[i].back).for_each(|i| weights.drop(i));
+/// `weights` with the sides that are not stored set to 0: where that is automatic, the darker side of each chart by its
+/// light in `total`.
+pub(super) fn stored_weights(
+    surface: &Surface,
+    weights: &TexelWeights,
+    sides: DoubleSided,
+    total: &Halves,
+) -> TexelWeights {
+    let texels = &surface.texels.texels[..surface.texels.mapped];
+    let mut weights = weights.clone();
+    match sides {
+        DoubleSided::Split => {}
+        DoubleSided::Front => {
+            (0..texels.len()).filter(|&i| texels[i].back).for_each(|i| weights.drop(i));
+        }
+        DoubleSided::Auto => {
+            let charts = texels.iter().filter(|t| t.chart != NO_CHART).map(|t| t.chart as usize + 1).max().unwrap_or(0);
+            let mut received = vec![[0f64; 2]; charts];
+            for (i, t) in texels.iter().enumerate() {
+                received[t.chart as usize][usize::from(t.back)] +=
+                    f64::from(t.area) * f64::from(total.mean(surface.shown[i] as usize).element_sum());
             }
-            DoubleSided::Auto => {
-                let charts =
-                    texels.iter().filter(|t| t.chart != NO_CHART).map(|t| t.chart as usize + 1).max().unwrap_or(0);
-                let mut received = vec![[0f64; 2]; charts];
-                for (i, t) in texels.iter().enumerate() {
-                    received[t.chart as usize][usize::from(t.back)] +=
-                        f64::from(t.area) * f64::from(total.mean(self.path.surface.shown[i] as usize).element_sum());
-                }
-                for (i, t) in texels.iter().enumerate() {
-                    let [front, back] = received[t.chart as usize];
-                    if t.back != (back > front) {
-                        weights.drop(i);
-                    }
+            for (i, t) in texels.iter().enumerate() {
+                let [front, back] = received[t.chart as usize];
+                if t.back != (back > front) {
+                    weights.drop(i);
                 }
             }
         }
-        weights
     }
+    weights
 }

@@ -34,6 +34,19 @@ pub struct LightSeconds {
     pub audit: f64,
 }
 
+impl LightSeconds {
+    /// Of both.
+    pub(super) fn plus(&self, o: &LightSeconds) -> LightSeconds {
+        LightSeconds {
+            direct: self.direct + o.direct,
+            photons: self.photons + o.photons,
+            gather: self.gather + o.gather,
+            estimate: self.estimate + o.estimate,
+            audit: self.audit + o.audit,
+        }
+    }
+}
+
 /// Amounts of work, or seconds for one of each.
 #[derive(Debug, Clone, Copy, Default)]
 pub(super) struct Work {

@@ -1,6 +1,7 @@
 //! Indirect light that meshes gather, for which photons are too slow, smoothed over cells of its own where that is
 //! better.
 
+use super::estimate::stored_weights;
 use super::light::{Smooth, scattered};
 use super::{Solver, Surface};
 use crate::accuracy::{Caustics, GATHER_AGAIN, block_variance};
@@ -105,7 +106,8 @@ impl Solver<'_, '_> {
         let caught = [0, 1].map(|h| self.gathered_caught(&tree, h));
         let smooth = Reconstruction::new(&tree, [&caught[0], &caught[1]], self.path.visibility.accel);
         let light = Smooth { caught, found: smooth };
-        let weights = self.stored_weights(&self.direct_halves(false).plus(&self.texel_halves(found)));
+        let total = self.direct_halves(false).plus(&self.texel_halves(found));
+        let weights = stored_weights(self.path.surface, &self.weights, self.options.double_sided, &total);
         let weight = |k: usize| self.open_weight(&weights, tree.elements[k].texel as usize);
         // Bias is looked for texel by texel, as that of direct light.
         let (compared, blocks) = (light.compared(&tree), &light.found.blocks);

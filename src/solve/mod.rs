@@ -11,11 +11,13 @@ mod audit;
 mod estimate;
 mod forecast;
 mod gathered;
+mod groups;
 mod light;
 mod shots;
 mod surface;
 
 pub use forecast::LightSeconds;
+pub use groups::{GroupSolution, solve_groups};
 pub use surface::Surface;
 
 use forecast::{Falls, Outlook};
@@ -25,7 +27,7 @@ use crate::accuracy::{
     Audit, CAUSTIC_SHARE, Caustics, Halves, MeshError, Missed, PhotonCost, Spent, TexelError, TexelWeights, Unseen,
     caustic_growth, cheapest_growth, gather_rays, plan_meshes,
 };
-use crate::cell::Gathered;
+use crate::cell::{Bias, Gathered};
 use crate::error::BakeError;
 use crate::light::{Direct, Emitters, Growth, TexelLight, Visibility};
 use crate::observer::{Observer, Stage};
@@ -128,6 +130,8 @@ pub struct Solution {
     pub error: TexelError,
     /// Error of each node with texels on the map.
     pub meshes: Vec<MeshError>,
+    /// Their biases.
+    biases: Vec<Bias>,
     /// Error that 95 % of the meshes are under.
     pub mesh_percent: f64,
     /// Share of the area whose error is within the target.
@@ -142,6 +146,8 @@ pub struct Solution {
     by_photons: f64,
     /// Meshes above their target.
     missed: Vec<Missed>,
+    /// Light of each group, where lights are solved in groups: this is their sum.
+    pub groups: Vec<GroupSolution>,
     /// Which limit ended it before the targets were met.
     pub limit: Option<&'static str>,
     /// What path tracing says of it, or why it was not asked.
@@ -157,6 +163,8 @@ pub struct Solution {
     pub direct_samples: u64,
     /// Shadow rays of direct light.
     pub direct_rays: u64,
+    /// Photons of both halves.
+    pub photons: u64,
     /// Photons for caustics alone, of both halves.
     pub caustic_photons: u64,
     /// Rays of these.

@@ -7,12 +7,12 @@
 mod graph;
 mod maps;
 
-use super::words::{audit, bytes, count, escape, figures, seconds};
+use super::words::{audit, bytes, count, escape, figures, group, seconds};
 use super::write_atomically;
 use crate::accuracy::MeshError;
 use crate::bake::Bake;
 use crate::error::BakeError;
-use crate::report::{Report, Seconds};
+use crate::report::{GroupReport, Report, Seconds};
 use maps::{ERROR_RANGE, Maps, PageMaps, density_gradient, error_gradient, maps};
 use std::path::Path;
 
@@ -44,6 +44,7 @@ pub fn html(bake: &Bake) -> Result<String, BakeError> {
     let parts = [
         headline(report),
         history(report),
+        groups(report),
         pages(report, &maps),
         split(report),
         meshes(report),
@@ -109,8 +110,26 @@ fn headline(r: &Report) -> String {
     )
 }
 
-/// The graph, and its numbers as a table.
+/// Groups of lights, each relative to its own light.
+fn groups(r: &Report) -> String {
+    let item = |g: &GroupReport| {
+        let lights = escape(&g.lights.join(", "), SENTENCE);
+        format!("<li><b>{}</b> (<bdi>{lights}</bdi>): {}</li>\n", escape(&g.name, NAME), group(g))
+    };
+    if r.groups.is_empty() {
+        return String::new();
+    }
+    let items: String = r.groups.iter().map(item).collect();
+    format!(
+        "<h2>Light groups</h2>\n<p class=\"soft\">Each is a layer of the maps, which are their sum.</p>\n<ul>\n{items}</ul>\n"
+    )
+}
+
+/// The graph, and its numbers as a table. Groups have a history each, and there is none of their sum.
 fn history(r: &Report) -> String {
+    if !r.groups.is_empty() {
+        return String::new();
+    }
     let Some(graph) = graph::graph(r) else { return String::new() };
     let rows: String = r
         .history

@@ -1,0 +1,179 @@
+//! Light of groups of lights, each solved by itself, and their sum.
+//!
+//! Each has random numbers of its own and meets the targets relative to its own mean: dimmed, brightened or coloured
+//! later, it is as good as was asked. The sum of what each stores is the whole, texel by texel.
+
+use super::audit::audit;
+use super::estimate::stored_weights;
+use super::{LightPath, Solution, solve};
+use crate::accuracy::{Audit, Caustics, TexelError, TexelWeights, mesh_errors};
+use crate::error::BakeError;
+use crate::light::{Emitters, LightGroup};
+use crate::observer::{Observer, Stage};
+use crate::options::BakeOptions;
+use crate::photon::EnergyLedger;
+use crate::report::{HistoryEntry, RoundSeconds, percentile_95};
+use crate::sampling::hash_mix;
+use glam::Vec3;
+use std::time::Instant;
+
+/// Sets the random numbers of groups apart.
+const GROUP: u64 = 0x0067_726f_7570;
+
+/// The light of one group.
+#[derive(Debug)]
+pub struct GroupSolution {
+    /// The group.
+    pub group: LightGroup,
+    /// Irradiance (lux) of each texel of the map.
+    pub light: Vec<Vec3>,
+    /// Its error, relative to its own mean.
+    pub error: TexelError,
+    /// Error that 95 % of the meshes are under, each relative to its mean light of this group.
+    pub mesh_percent: f64,
+    /// Which limit ended it before its targets were met.
+    pub limit: Option<&'static str>,
+    /// What path tracing says of it, or why it was not asked.
+    pub audit: Result<Audit, &'static str>,
+    /// One entry per round.
+    pub history: Vec<HistoryEntry>,
+}
+
+/// Solves each of `groups` by itself, and adds them up; the light of `path` as a whole where there are none.
+/// A time limit is shared out evenly, and so are most photons.
+///
+/// # Errors
+/// [`BakeError::Cancelled`] when the observer says so.
+pub fn solve_groups(
+    path: LightPath,
+    groups: Vec<(LightGroup, Emitters)>,
+    weights: TexelWeights,
+    options: &BakeOptions,
+    began: Instant,
+    observer: &mut dyn Observer,
+) -> Result<Solution, BakeError> {
+    let count = groups.len();
+    let mut sum: Option<Solution> = None;
+    for (k, (group, emitters)) in groups.into_iter().enumerate() {
+        observer.group(&group.name, k + 1, count);
+        let gone = began.elapsed().as_secs_f64();
+        let own = BakeOptions {
+            seed: hash_mix(hash_mix(options.seed, GROUP), k as u64),
+            time_limit: options.time_limit.map(|limit| gone + (limit - gone).max(0.0) / (count - k) as f64),
+            max_photons: options.max_photons.map(|most| most / count as u64),
+            ..options.clone()
+        };
+        let lit = LightPath { emitters: &emitters, ..path };
+        let part = solve(lit, weights.clone(), &own, began, observer)?;
+        let solved = GroupSolution {
+            group,
+            light: (0..weights.weight.len()).map(|i| part.total.mean(i)).collect(),
+            error: part.error,
+            mesh_percent: part.mesh_percent,
+            limit: part.limit,
+            audit: part.audit,
+            history: part.history.clone(),
+        };
+        let mut whole = match sum {
+            None => part,
+            Some(sum) => sum.plus(part),
+        };
+        whole.groups.push(solved);
+        sum = Some(whole);
+    }
+    match sum {
+        None => solve(path, weights, options, began, observer),
+        Some(sum) => sum.whole(path, &weights, options, began, observer),
+    }
+}
+
+impl Solution {
+    /// Light of both, but for what [`whole`](Self::whole) finds out of that.
+    fn plus(mut self, other: Solution) -> Solution {
+        let unit = match (self.unit, other.unit) {
+            (a, b) if a <= 0.0 || b <= 0.0 => a.max(b),
+            (a, b) => a.min(b),
+        };
+        let mut ledger = EnergyLedger::default();
+        ledger += &self.ledger.in_steps(self.unit, unit);
+        ledger += &other.ledger.in_steps(other.unit, unit);
+        let in_unit = |s: &Solution| if s.unit > 0.0 { (s.unit / unit) as i64 } else { 1 };
+        let flux = [in_unit(&self), in_unit(&other)];
+        let brighter = other.error.mean > self.error.mean;
+        let light = [self.error.mean, other.error.mean];
+        self.energy_change =
+            (self.energy_change * light[0] + other.energy_change * light[1]) / (light[0] + light[1]).max(1e-300);
+        self.error = self.error.plus(&other.error);
+        self.total = self.total.plus(&other.total);
+        self.indirect = self.indirect.plus(&other.indirect);
+        self.caustics = match (self.caustics, other.caustics) {
+            (Some(a), Some(b)) => {
+                Some(Caustics { stored: a.stored.plus(&b.stored), everywhere: a.everywhere.plus(&b.everywhere) })
+            }
+            (a, b) => a.or(b),
+        };
+        self.biases = self.biases.iter().zip(&other.biases).map(|(a, b)| a.plus_alike(b)).collect();
+        (0..2).for_each(|h| self.cells[h] += other.cells[h]);
+        if brighter {
+            self.cell_of = other.cell_of;
+        }
+        self.squares = self.squares + other.squares;
+        self.by_photons += other.by_photons;
+        self.limit = self.limit.or(other.limit);
+        self.direct_samples += other.direct_samples;
+        self.direct_rays += other.direct_rays;
+        self.photons += other.photons;
+        self.caustic_photons += other.caustic_photons;
+        self.caustic_rays += other.caustic_rays;
+        self.gather_rays += other.gather_rays;
+        self.gathered_meshes += other.gathered_meshes;
+        self.back_flux = self.back_flux.iter().zip(&other.back_flux).map(|(a, b)| a * flux[0] + b * flux[1]).collect();
+        (self.ledger, self.unit) = (ledger, unit);
+        self.seconds = self.seconds.plus(&other.seconds);
+        self
+    }
+
+    /// What is known of the sum as a whole, and what an audit of it by all lights says.
+    fn whole(
+        mut self,
+        path: LightPath,
+        weights: &TexelWeights,
+        options: &BakeOptions,
+        began: Instant,
+        observer: &mut dyn Observer,
+    ) -> Result<Solution, BakeError> {
+        self.weights = stored_weights(path.surface, weights, options.double_sided, &self.total);
+        let (world, target) = (path.visibility.world, options.target_percent);
+        (self.meshes, self.area_within_target) =
+            mesh_errors(world, &self.total, &self.weights, &self.biases, self.error.mean, target);
+        self.mesh_percent = percentile_95(&self.meshes);
+        let late = || options.time_limit.is_some_and(|limit| began.elapsed().as_secs_f64() > limit);
+        let started = Instant::now();
+        observer.stage(Stage::Audit);
+        let rays = self.rays();
+        self.audit = audit(&path, &self, options, rays, &*observer, &late)?;
+        if let Some(unseen) = self.found_unseen(self.photons) {
+            self.error = self.error.raised(&unseen);
+            if self.error.high > target {
+                self.limit = self.limit.or(Some("audit"));
+            }
+        }
+        self.seconds.audit += started.elapsed().as_secs_f64();
+        self.history = vec![HistoryEntry {
+            direct_samples: self.direct_samples,
+            photons: self.photons,
+            rays,
+            percent: self.error.percent,
+            low: self.error.low,
+            high: self.error.high,
+            forecast_rays: rays as f64,
+        }];
+        let at = began.elapsed().as_secs_f64();
+        self.rounds = vec![RoundSeconds { at, forecast: at, forecast_low: at, forecast_high: at }];
+        Ok(self)
+    }
+
+    fn rays(&self) -> u64 {
+        self.direct_rays + self.ledger.rays + self.caustic_rays + self.gather_rays
+    }
+}
