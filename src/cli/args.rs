@@ -133,7 +133,8 @@ pub struct BakeArgs {
     /// light. Names as of --light. May be repeated.
     #[arg(long, value_name = "NAME=FILE", help_heading = "Light")]
     ies: Vec<String>,
-    /// Leave lights out of scene.glb whose direct light is in the maps.
+    /// Leave lights out of scene.glb whose direct light is in the maps, surroundings of the file (EXT_lights_image_based)
+    /// among them.
     #[arg(long, help_heading = "Light")]
     remove_baked_lights: bool,
 

@@ -213,6 +213,10 @@ fn describe_sky(sky: &Sky) -> String {
     match sky {
         Sky::Constant(c) => format!("constant {} {} {} nit", c.x, c.y, c.z),
         Sky::Image { width, height, .. } => format!("image of {width} x {height} texels"),
+        Sky::Cube(map) => {
+            let (n, mean) = (map.size(), map.mean());
+            format!("cube of {n} x {n} texels a face, {} {} {} nit on average", mean.x, mean.y, mean.z)
+        }
     }
 }
 

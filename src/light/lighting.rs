@@ -12,6 +12,8 @@ pub struct Lighting {
     pub lights: Vec<Light>,
     /// Light from beyond the geometry.
     pub sky: Option<Sky>,
+    /// The sky is that of the scene's file.
+    pub sky_of_scene: bool,
     /// What was odd about them.
     pub warnings: Vec<Warning>,
 }
@@ -52,6 +54,7 @@ impl Lighting {
                 bake: BakeMode::Full,
             });
         }
-        Ok(Lighting { lights, sky, warnings })
+        let sky_of_scene = options.sky.is_none() && sky.is_some();
+        Ok(Lighting { lights, sky, sky_of_scene, warnings })
     }
 }

@@ -44,6 +44,9 @@ pub struct Manifest {
     pub lights: Vec<ManifestLight>,
     /// The light of the sky is in the maps.
     pub sky_baked: bool,
+    /// And it is that of the scene file (EXT_lights_image_based or extras), not one given to the bake.
+    #[serde(default)]
+    pub sky_of_scene: bool,
     /// What the numbers mean, in words.
     pub conventions: Conventions,
 }
@@ -174,6 +177,7 @@ impl Manifest {
                 })
                 .collect(),
             sky_baked: lighting.sky.is_some(),
+            sky_of_scene: lighting.sky_of_scene,
             conventions: conventions(over_pi),
         }
     }

@@ -10,6 +10,7 @@
 
 mod change;
 mod clear_sky;
+mod cube_map;
 pub mod gltf;
 mod ies;
 mod light;
@@ -23,6 +24,7 @@ mod world;
 
 pub use change::{Changes, LightChange, NodeChange};
 pub use clear_sky::ClearSky;
+pub use cube_map::CubeMap;
 pub use light::{BakeMode, Camera, Light, LightKind, Projection};
 pub use material::{Alpha, Material, TextureRef};
 pub use mesh::{Instance, Mesh, Primitive};
@@ -30,6 +32,7 @@ pub use profile::IesProfile;
 pub use sky::Sky;
 pub(crate) use sky::sky_pixel;
 pub use specular::{Bounce, Specular};
+pub(crate) use texture::srgb_table;
 pub use texture::{ColorSpace, Texture, Wrap};
 pub use world::{Frame, Met, SurfaceFlags, SurfacePoint, TriangleRef, World};
 

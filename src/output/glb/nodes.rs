@@ -60,6 +60,19 @@ pub(super) fn remove_lights(json: &mut Value, nodes: &[usize]) -> usize {
     removed
 }
 
+/// Takes the surroundings from the scene that is baked; where no other scene has any, the extension goes too. Returns
+/// from how many.
+pub(super) fn remove_sky(json: &mut Value) -> usize {
+    const NAME: &str = "EXT_lights_image_based";
+    let scene = json.get("scene").and_then(Value::as_u64).map_or(0, |i| i as usize);
+    let Some(scene) = items_mut(json, "scenes").nth(scene) else { return 0 };
+    let removed = usize::from(take_extension(scene, NAME).is_some());
+    if removed > 0 && !items(json, "scenes").any(|scene| scene["extensions"].get(NAME).is_some()) {
+        drop_extension(json, NAME);
+    }
+    removed
+}
+
 /// True where the atlas speaks of the scene at hand.
 pub(super) fn matches(scene: &Scene, atlas: &Atlas) -> bool {
     atlas.placements.len() == scene.instances.len()

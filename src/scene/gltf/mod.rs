@@ -12,6 +12,7 @@ mod accessor;
 mod container;
 mod extension;
 mod ies;
+mod image_based;
 mod light;
 mod material;
 mod node;

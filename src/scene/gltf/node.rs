@@ -1,7 +1,7 @@
 //! The node tree of one scene: world transforms, instances, and what nodes carry besides meshes.
 
 use super::reader::{REPAIR, Reader};
-use super::{ies, light};
+use super::{ies, image_based, light};
 use crate::error::SceneError;
 use crate::scene::{Camera, Instance, Light, Projection, Sky};
 use glam::{DAffine3, DMat4, DQuat, DVec3, Vec3};
@@ -24,7 +24,10 @@ pub(super) fn walk(reader: &mut Reader) -> Result<Tree, SceneError> {
     let mut tree = Tree::default();
     let roots = match chosen_scene(reader)? {
         Some(scene) => {
-            tree.sky = read_sky(reader, scene)?;
+            tree.sky = match image_based::read(reader, scene)? {
+                None => read_sky(reader, scene)?,
+                some => some,
+            };
             scene_roots(reader, scene)?
         }
         None => {

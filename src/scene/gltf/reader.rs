@@ -2,6 +2,7 @@
 
 use super::Document;
 use super::ies::PROFILES;
+use super::image_based::SURROUNDINGS;
 use crate::error::{SceneError, Warning};
 use serde::Deserialize;
 use serde_json::Value;
@@ -50,11 +51,12 @@ impl<'d> Reader<'d> {
     }
 
     /// The top-level array `list`, empty where the file has none. `lights` are those of KHR_lights_punctual,
-    /// [`PROFILES`] those of EXT_lights_ies.
+    /// [`PROFILES`] those of EXT_lights_ies, [`SURROUNDINGS`] those of EXT_lights_image_based.
     pub(super) fn list(&self, list: &str) -> Result<&'d [Value], SceneError> {
         let found = match list {
             "lights" => self.document.json.pointer("/extensions/KHR_lights_punctual/lights"),
             PROFILES => self.document.json.pointer("/extensions/EXT_lights_ies/lights"),
+            SURROUNDINGS => self.document.json.pointer("/extensions/EXT_lights_image_based/lights"),
             _ => self.document.json.get(list),
         };
         match found {
