@@ -1,13 +1,15 @@
-//! Lights that glTF extensions bring beside lamps without area: the surroundings of EXT_lights_image_based.
+//! Lights that glTF extensions bring beside lamps without area: the surroundings of EXT_lights_image_based, and the
+//! rectangles and discs of EXT_lights_area.
 
 mod common;
 
+use common::formulas::{disc_irradiance, polygon_irradiance};
 use common::glb::SceneBuilder;
 use common::program::{evenlight, expect, read_json, text};
 use common::rooms::{Builder, mean_where, plain, run};
 use evenlight::light::SkySampler;
-use evenlight::scene::{Scene, Sky};
-use glam::{Quat, Vec2, Vec3};
+use evenlight::scene::{AreaShape, BakeMode, Changes, LightChange, LightKind, Scene, Sky};
+use glam::{DVec3, Quat, Vec2, Vec3};
 use image::{DynamicImage, ImageFormat, RgbImage, RgbaImage};
 use serde_json::{Value, json};
 use std::f64::consts::{FRAC_1_SQRT_2, PI};
@@ -269,4 +271,122 @@ fn surroundings_are_shown_baked_and_removed() {
     let (mean, sky, scene) = bake(&["--sky", "7,7,7", "--remove-baked-lights"]);
     near(mean, 7.0 * PI);
     assert!(sky == [true, false] && scene.sky.is_some(), "what is not baked stays");
+}
+
+/// A floor under a node with the first of `lights`.
+fn panels(lights: Value, node: Value) -> SceneBuilder {
+    SceneBuilder::new().material("black", [0.0; 3]).quad("floor", FLOOR).node(node).patch(move |j| {
+        j["extensionsUsed"] = json!(["EXT_lights_area"]);
+        j["extensionsRequired"] = json!(["EXT_lights_area"]);
+        j["extensions"] = json!({"EXT_lights_area": {"lights": lights}});
+        j["nodes"][1]["extensions"] = json!({"EXT_lights_area": {"light": 0}});
+    })
+}
+
+/// -Z turned to point along `direction`.
+fn aim(direction: Vec3) -> [f32; 4] {
+    Quat::from_rotation_arc(Vec3::NEG_Z, direction.normalize()).to_array()
+}
+
+/// Irradiance of small squares at `points`, facing up, under the first light of a file: its own place and shape.
+fn measured(file: SceneBuilder, points: &[Vec3]) -> Vec<f64> {
+    let lights = load(file).expect("a good scene").lights;
+    let mut b = Builder::new(64);
+    let black = b.diffuse(0.0, 0.0);
+    for &p in points {
+        let side = 1e-3;
+        b.quad("square", p - Vec3::new(0.5, 0.0, 0.5) * side, Vec3::Z * side, Vec3::X * side, black, [2, 2]);
+    }
+    let mut scene = b.finish();
+    scene.lights = lights;
+    let bake = run(&scene, &plain(64, 0.1));
+    (0..points.len()).map(|i| mean_where(&bake, i, |_| true).0).collect()
+}
+
+/// A rectangle, sized by the largest scale of its node and tilted, against Lambert's formula for polygons.
+#[test]
+fn rectangles_light_as_lambert_says() {
+    let tilt = Quat::from_rotation_arc(Vec3::NEG_Z, Vec3::new(0.3, -1.0, 0.2).normalize());
+    let light = json!([{"type": "rect", "intensity": 500.0, "color": [1.0, 0.5, 0.25], "size": 0.4,
+        "rect": {"aspect": 2.0}}]);
+    let node = json!({"translation": [0.1, 1.5, -0.2], "rotation": tilt.to_array(), "scale": [1.0, -1.5, 0.5]});
+    let points = [Vec3::ZERO, Vec3::new(0.7, 0.0, 0.3), Vec3::new(-1.0, 0.4, 0.9), Vec3::new(0.1, 2.5, -0.2)];
+    let found = measured(panels(light, node), &points);
+    let corner = |x: f32, y: f32| Vec3::new(0.1, 1.5, -0.2) + tilt * Vec3::new(x * 0.6, y * 0.3, 0.0);
+    // Counter-clockwise as seen from -Z.
+    let corners = [corner(-1.0, 1.0), corner(1.0, 1.0), corner(1.0, -1.0), corner(-1.0, -1.0)].map(Vec3::as_dvec3);
+    let mean_radiance = 500.0 * 1.75 / 3.0;
+    for (p, found) in points.iter().zip(&found).take(3) {
+        let expected = polygon_irradiance(p.as_dvec3(), DVec3::Y, &corners, mean_radiance);
+        assert!(expected > 1.0 && (found / expected - 1.0).abs() < 2e-3, "{p}: {found}, not {expected}");
+    }
+    assert_eq!(found[3], 0.0, "nothing goes backwards");
+}
+
+/// A disc on its axis, near and far.
+#[test]
+fn discs_light_as_the_formula_says() {
+    let light = json!([{"type": "disk", "intensity": 2000.0, "size": 0.5}]);
+    let node = json!({"translation": [0, 1, 0], "rotation": aim(Vec3::NEG_Y), "scale": [2, 2, 2]});
+    let points = [Vec3::ZERO, Vec3::new(0.0, 0.9, 0.0), Vec3::new(0.0, -4.0, 0.0)];
+    // One at a time: they would shade each other.
+    for p in points {
+        let found = measured(panels(light.clone(), node.clone()), &[p])[0];
+        let expected = disc_irradiance(0.5, f64::from(1.0 - p.y), 2000.0);
+        assert!((found / expected - 1.0).abs() < 2e-3, "{p}: {found}, not {expected}");
+    }
+}
+
+/// Neither seen nor in the way; hidden by what is; switched and scaled by name, without a profile.
+#[test]
+fn area_lights_are_lights() {
+    let light = json!([{"name": "panel", "type": "rect", "rect": {}}]);
+    let up = json!({"translation": [0, 1, 0], "rotation": aim(Vec3::NEG_Y)});
+    let scene = load(panels(light.clone(), up.clone())).expect("a good scene");
+    assert_eq!(scene.triangle_count(), 2);
+    let panel = &scene.lights[0];
+    assert_eq!((panel.name.as_str(), panel.node, panel.intensity), ("panel", Some(1), Vec3::splat(1000.0)));
+    assert_eq!(panel.kind, LightKind::Area(AreaShape::Rectangle { width: 1.0, height: 1.0 }));
+
+    // A second lamp above shines through the first; a lid between hides both.
+    let mut b = Builder::new(64);
+    let black = b.diffuse(0.0, 0.0);
+    b.quad("square", Vec3::new(-5e-4, 0.0, -5e-4), Vec3::Z * 1e-3, Vec3::X * 1e-3, black, [2, 2]);
+    let mut built = b.finish();
+    let mut above = scene.lights[0].clone();
+    above.position.y = 2.0;
+    let mut lit = |lights: Vec<_>| {
+        built.lights = lights;
+        mean_where(&run(&built, &plain(64, 0.1)), 0, |_| true).0
+    };
+    let [one, other] = [lit(vec![scene.lights[0].clone()]), lit(vec![above.clone()])];
+    let both = lit(vec![scene.lights[0].clone(), above]);
+    assert!(other > 100.0 && (both / (one + other) - 1.0).abs() < 2e-3, "{both}, not {one} + {other}");
+
+    let named = |change: LightChange| {
+        let mut scene = load(panels(light.clone(), up.clone())).expect("a good scene");
+        scene.change(&Changes { lights: vec![("panel".into(), change)], nodes: Vec::new() }).map(|()| scene)
+    };
+    let off = named(LightChange { bake: Some(BakeMode::Off), scale: Some(0.5), ..LightChange::default() });
+    let off = off.expect("a light");
+    assert_eq!((off.lights[0].bake, off.lights[0].intensity), (BakeMode::Off, Vec3::splat(500.0)));
+    let profiled = named(LightChange { ies: Some("lamp.ies".into()), ..LightChange::default() });
+    assert!(profiled.expect_err("no profile").to_string().contains("is no point or spot light"));
+
+    for (lights, expected) in [
+        (json!([{"type": "sphere"}]), "EXT_lights_area.lights[0] has the type 'sphere', neither rect nor disk"),
+        (json!([{"type": "rect", "size": "x"}]), "EXT_lights_area.lights[0]: invalid type"),
+        (json!([]), "nodes[1] refers to EXT_lights_area.lights[0]"),
+    ] {
+        let error = load(panels(lights, up.clone())).expect_err(expected);
+        assert!(error.contains(expected), "{error}");
+    }
+    for odd in [json!({"size": 0}), json!({"rect": {"aspect": -1}}), json!({"intensity": 1e39})] {
+        let mut light = json!({"type": "rect"});
+        light.as_object_mut().expect("an object").extend(odd.as_object().cloned().expect("an object"));
+        match load(panels(json!([light]), up.clone())) {
+            Ok(scene) => assert!(scene.lights.is_empty() && scene.warnings.iter().any(|w| w.code == "odd-light")),
+            Err(error) => assert!(error.contains("EXT_lights_area.lights[0]"), "{error}"),
+        }
+    }
 }

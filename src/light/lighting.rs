@@ -8,7 +8,7 @@ use glam::{DVec3, Mat3, Vec3};
 /// All light sources besides emissive surfaces.
 #[derive(Debug, Clone)]
 pub struct Lighting {
-    /// Lights without area.
+    /// Lights that are no surfaces.
     pub lights: Vec<Light>,
     /// Light from beyond the geometry.
     pub sky: Option<Sky>,

@@ -25,7 +25,7 @@ mod world;
 pub use change::{Changes, LightChange, NodeChange};
 pub use clear_sky::ClearSky;
 pub use cube_map::CubeMap;
-pub use light::{BakeMode, Camera, Light, LightKind, Projection};
+pub use light::{AreaShape, BakeMode, Camera, Light, LightKind, Projection};
 pub use material::{Alpha, Material, TextureRef};
 pub use mesh::{Instance, Mesh, Primitive};
 pub use profile::IesProfile;
@@ -52,7 +52,7 @@ pub struct Scene {
     pub materials: Vec<Material>,
     /// Textures that materials refer to; images are decoded on first use.
     pub textures: Vec<Texture>,
-    /// Point, spot and directional lights.
+    /// Point, spot and directional lights, and those with an area that are no surface.
     pub lights: Vec<Light>,
     /// Cameras, for previews.
     pub cameras: Vec<Camera>,

@@ -10,7 +10,7 @@ use crate::scene::{BakeMode, Scene};
 use serde_json::{Value, json};
 
 /// Extensions that give a node a light.
-const LIGHTS: [&str; 2] = ["KHR_lights_punctual", "EXT_lights_ies"];
+const LIGHTS: [&str; 3] = ["KHR_lights_punctual", "EXT_lights_ies", "EXT_lights_area"];
 
 /// Nodes of the lights whose direct and reflected light is all in the maps, in ascending order: what
 /// [`GlbOptions::remove_baked_lights`](super::GlbOptions::remove_baked_lights) wants to know.

@@ -9,6 +9,7 @@
 //! The values are photometric as glTF defines them: candela, lux, nit.
 
 mod accessor;
+mod area;
 mod container;
 mod extension;
 mod ies;
