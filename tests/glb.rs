@@ -536,7 +536,7 @@ fn images_beside_the_document_are_taken_in() {
 fn baked_lights_go_on_request() {
     let document = fixture();
     let nodes = evenlight::output::glb::fully_baked_lights(&scene_of(&document), Lights::All);
-    let w = write_fixture(true, &GlbOptions { remove_baked_lights: nodes });
+    let w = write_fixture(true, &GlbOptions { remove_baked_lights: nodes, ..GlbOptions::default() });
     assert_eq!(w.info.removed_lights, 1);
     assert!(w.after.json.get("extensions").is_none());
     assert!(w.after.json["nodes"][9].get("extensions").is_none());

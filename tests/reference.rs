@@ -183,6 +183,7 @@ fn plane_irradiance(scene: &Scene, p: DVec3, normal: DVec3) -> DVec3 {
                 let cone = ((axis.dot((p - light.position).normalize()) - outer) / (inner - outer)).clamp(0.0, 1.0);
                 point_irradiance(p, normal, light.position, 1.0) * cone * cone
             }
+            LightKind::Area(_) => panic!("{} has an area, which no scene of this comparison has", light.name),
         };
         e += light.intensity.as_dvec3() * share;
     }

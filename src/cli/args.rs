@@ -138,7 +138,8 @@ pub struct BakeArgs {
     /// targets by itself. May be repeated.
     #[arg(long, value_name = "GROUP=NAME", help_heading = "Light")]
     group: Vec<String>,
-    /// Leave lights out of scene.glb whose direct light is in the maps.
+    /// Leave lights out of scene.glb whose direct light is in the maps, surroundings of the file (EXT_lights_image_based)
+    /// among them.
     #[arg(long, help_heading = "Light")]
     remove_baked_lights: bool,
 

@@ -111,7 +111,8 @@ fn write_scene(
     args: &BakeArgs,
 ) -> Result<(), BakeError> {
     let lights = if args.removes_baked_lights() { glb::fully_baked_lights(scene, options.lights) } else { Vec::new() };
-    let glb = GlbOptions { remove_baked_lights: lights };
+    let remove_baked_sky = args.removes_baked_lights() && bake.lighting.sky_of_scene;
+    let glb = GlbOptions { remove_baked_lights: lights, remove_baked_sky };
     let info = glb::write(&staging.file("scene.glb")?, &scene.source, scene, &bake.atlas, &glb)?;
     bake.report.warnings.extend(info.warnings);
 

@@ -2,7 +2,7 @@
 
 use evenlight::Warning;
 use evenlight::accel::{coincident_warning, part_coincident};
-use evenlight::scene::{IesProfile, Light, LightKind, Scene, Sky, SurfaceFlags, World};
+use evenlight::scene::{AreaShape, IesProfile, Light, LightKind, Scene, Sky, SurfaceFlags, World};
 use serde::Serialize;
 use std::fmt::{self, Write};
 
@@ -73,9 +73,9 @@ pub struct InstanceEntry {
 pub struct LightEntry {
     /// Name of the light.
     pub name: String,
-    /// `point`, `spot` or `directional`.
+    /// `point`, `spot`, `directional`, `rectangle` or `disc`.
     pub kind: &'static str,
-    /// Candela, along the brightest direction of a profile; lux for a directional light.
+    /// Candela, along the brightest direction of a profile; lux for a directional light; nit for one with an area.
     pub intensity: [f32; 3],
     /// Its IES profile.
     pub profile: Option<ProfileEntry>,
@@ -184,6 +184,8 @@ fn light_entry(light: &Light) -> LightEntry {
         LightKind::Point => "point",
         LightKind::Spot { .. } => "spot",
         LightKind::Directional { .. } => "directional",
+        LightKind::Area(AreaShape::Rectangle { .. }) => "rectangle",
+        LightKind::Area(AreaShape::Disc { .. }) => "disc",
     };
     LightEntry {
         name: light.name.clone(),
@@ -213,6 +215,10 @@ fn describe_sky(sky: &Sky) -> String {
     match sky {
         Sky::Constant(c) => format!("constant {} {} {} nit", c.x, c.y, c.z),
         Sky::Image { width, height, .. } => format!("image of {width} x {height} texels"),
+        Sky::Cube(map) => {
+            let (n, mean) = (map.size(), map.mean());
+            format!("cube of {n} x {n} texels a face, {} {} {} nit on average", mean.x, mean.y, mean.z)
+        }
     }
 }
 
@@ -299,7 +305,11 @@ impl Inspection {
         }
 
         let lights = self.lights.iter().map(|l| {
-            let unit = if l.kind == "directional" { "lux" } else { "cd" };
+            let unit = match l.kind {
+                "directional" => "lux",
+                "rectangle" | "disc" => "nit",
+                _ => "cd",
+            };
             let [r, g, b] = l.intensity;
             let profile = l.profile.as_ref();
             let profile = profile.map_or(String::new(), |p| format!(", {:.0} lm by {}", p.lumens, p.file));

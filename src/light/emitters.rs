@@ -9,8 +9,8 @@ use super::tree::{LightBounds, LightTree};
 use super::visibility::Visibility;
 use crate::accel::{self, Ray};
 use crate::sampling::{Stream, cosine_hemisphere, uniform_cone, uniform_triangle};
-use crate::scene::{BakeMode, IesProfile, Light, LightKind, SurfaceFlags, World};
-use glam::{Mat3, Vec2, Vec3};
+use crate::scene::{AreaShape, BakeMode, IesProfile, Light, LightKind, SurfaceFlags, World};
+use glam::{DVec2, Mat3, Vec2, Vec3};
 use std::sync::Arc;
 
 /// Up to this many point and spot lights each get a shadow ray of their own per sample; more go into the
@@ -19,6 +19,9 @@ pub const PUNCTUAL_LOOP_LIMIT: usize = 16;
 
 /// Up to this many emitters of the light tree are all weighed for each sample, without the tree.
 const WEIGH_ALL_LIMIT: usize = 32;
+
+/// Shadow rays to what is no surface end a hair before it, for it may lie on one: at this share of the way.
+const HAIR_BEFORE: f32 = 1.0 - 1e-5;
 
 /// Of more, the tree proposes this many.
 const PROPOSALS: u32 = 2;
@@ -91,6 +94,17 @@ impl Punctual {
     }
 }
 
+/// A triangle of a light with area, in the frame: no surface of the scene, for no ray meets it.
+#[derive(Debug, Clone)]
+struct Panel {
+    corners: [Vec3; 3],
+    /// Unit vector to the side that shines.
+    normal: Vec3,
+    /// Nit.
+    radiance: Vec3,
+    stored: bool,
+}
+
 /// One entry of the light tree.
 #[derive(Debug, Clone, Copy)]
 enum TreeLight {
@@ -100,6 +114,7 @@ enum TreeLight {
         both_sides: bool,
         radiance: f32,
     },
+    Panel(u32),
     Punctual(u32),
 }
 
@@ -107,6 +122,7 @@ enum TreeLight {
 #[derive(Debug, Clone, Copy)]
 enum Seen {
     Triangle { id: u32, polygon: SeenPolygon },
+    Panel { panel: u32, polygon: SeenPolygon },
     Punctual { light: u32 },
 }
 
@@ -180,6 +196,8 @@ pub struct Emitters {
     looped: Vec<Punctual>,
     /// Point and spot lights of the tree.
     punctual: Vec<Punctual>,
+    /// Lights with area, all of the tree.
+    panels: Vec<Panel>,
     tree: LightTree,
     tree_lights: Vec<TreeLight>,
     sky: Option<SkySampler>,
@@ -190,10 +208,14 @@ impl Emitters {
     pub fn new(world: &World, lighting: &Lighting, settings: LightSettings) -> Emitters {
         let mut looped = Vec::new();
         let mut punctual = Vec::new();
+        let mut panels = Vec::new();
         let shines = |l: &Light| l.bake != BakeMode::Off && l.intensity.max_element() > 0.0;
         let lights = lighting.lights.iter().enumerate().filter(|(i, l)| shines(l) && settings.takes(|g| g.lights[*i]));
         for (_, light) in lights {
-            let p = to_frame(light, world, settings);
+            if let LightKind::Area(shape) = light.kind {
+                panels.extend(panels_of(light, shape, world, settings));
+            }
+            let Some(p) = to_frame(light, world, settings) else { continue };
             if matches!(p.shape, Shape::Directional { .. }) { looped.push(p) } else { punctual.push(p) }
         }
         if punctual.len() <= PUNCTUAL_LOOP_LIMIT {
@@ -209,12 +231,16 @@ impl Emitters {
                 tree_lights.push(TreeLight::Triangle { id, both_sides: b.two_sided, radiance });
             }
         }
+        for (i, p) in panels.iter().enumerate() {
+            bounds.push(panel_bounds(p));
+            tree_lights.push(TreeLight::Panel(i as u32));
+        }
         for (i, p) in punctual.iter().enumerate() {
             bounds.push(punctual_bounds(p));
             tree_lights.push(TreeLight::Punctual(i as u32));
         }
         let sky = lighting.sky.as_ref().filter(|_| settings.takes(|g| g.sky)).and_then(SkySampler::new);
-        Emitters { looped, punctual, tree: LightTree::new(&bounds), tree_lights, sky }
+        Emitters { looped, punctual, panels, tree: LightTree::new(&bounds), tree_lights, sky }
     }
 
     /// True where nothing emits.
@@ -222,9 +248,9 @@ impl Emitters {
         self.looped.is_empty() && self.tree_lights.is_empty() && self.sky.is_none()
     }
 
-    /// Number of emissive triangles and of lights without area.
+    /// Number of emissive triangles, those of lights with area among them, and of lights without area.
     pub fn counts(&self) -> (usize, usize) {
-        let triangles = self.tree_lights.iter().filter(|l| matches!(l, TreeLight::Triangle { .. })).count();
+        let triangles = self.tree_lights.iter().filter(|l| !matches!(l, TreeLight::Punctual(_))).count();
         (triangles, self.looped.len() + self.punctual.len())
     }
 
@@ -254,6 +280,11 @@ impl Emitters {
                 Seen::Triangle { id, polygon } => {
                     let place = Vec2::new(u(1), u(2));
                     add_triangle(id, &polygon, weight, at, visibility, place, more, &mut out, rays);
+                }
+                Seen::Panel { panel, polygon } => {
+                    let panel = &self.panels[panel as usize];
+                    let place = Vec2::new(u(1), u(2));
+                    add_panel(panel, &polygon, weight, at, visibility, place, more, &mut out, rays);
                 }
                 Seen::Punctual { light } => {
                     let light = &self.punctual[light as usize];
@@ -320,6 +351,16 @@ impl Emitters {
                 let polygon = SeenPolygon::new(corners, at)?;
                 Some((Seen::Triangle { id, polygon }, f64::from(radiance) * polygon.projected()))
             }
+            TreeLight::Panel(k) => {
+                let panel = &self.panels[k as usize];
+                let corners = panel.corners.map(|p| (p - at.origin).as_dvec3());
+                if panel.normal.as_dvec3().dot(corners[0]) >= 0.0 {
+                    return None;
+                }
+                let polygon = SeenPolygon::new(corners, at)?;
+                let radiance = f64::from(panel.radiance.element_sum());
+                Some((Seen::Panel { panel: k, polygon }, radiance * polygon.projected()))
+            }
             TreeLight::Punctual(k) => {
                 let light = &self.punctual[k as usize];
                 let (_, w, falloff) = light.towards(at)?;
@@ -348,8 +389,7 @@ impl Emitters {
             }
             Shape::Point | Shape::Profile { .. } | Shape::Spot { .. } => {
                 let Some((to, w, falloff)) = light.towards(at) else { return };
-                // Ends a hair before the light, which may stand on a surface.
-                (to, 1.0 - 1e-5, w, falloff)
+                (to, HAIR_BEFORE, w, falloff)
             }
         };
         let cosines = at.cosines(unit);
@@ -438,6 +478,37 @@ fn add_triangle(
     }
 }
 
+/// The same of a light with area.
+fn add_panel(
+    panel: &Panel,
+    polygon: &SeenPolygon,
+    weight: f32,
+    at: &Receiver,
+    visibility: &Visibility,
+    u: Vec2,
+    more: &mut Stream,
+    out: &mut DirectSample,
+    rays: &mut u64,
+) {
+    let Some(w) = polygon.sample(u, more) else { return };
+    let (w, towards) = (w.as_vec3(), -panel.normal.dot(w.as_vec3()));
+    if towards <= 0.0 {
+        return;
+    }
+    // To where the direction meets the plane of the light.
+    let t_max = -panel.normal.dot(panel.corners[0] - at.origin) / towards * HAIR_BEFORE;
+    *rays += 1;
+    let passed = visibility.transmittance(&Ray { origin: at.origin, direction: w, t_max });
+    if passed != Vec3::ZERO {
+        let cosines = at.cosines(w);
+        let light = panel.radiance * passed * (weight * (polygon.projected() / polygon.cosine(w.as_dvec3())) as f32);
+        out.add(light, w, cosines, panel.stored);
+        if panel.stored {
+            out.soft += light * cosines.1;
+        }
+    }
+}
+
 /// Barycentric weights where the direction `w` from the origin meets a triangle's plane.
 fn barycentric_along(corners: [glam::DVec3; 3], w: glam::DVec3) -> Option<Vec2> {
     let (e1, e2) = (corners[1] - corners[0], corners[2] - corners[0]);
@@ -454,7 +525,33 @@ fn barycentric_along(corners: [glam::DVec3; 3], w: glam::DVec3) -> Option<Vec2> 
     Some(Vec2::new((u / over) as f32, (v / over) as f32))
 }
 
-fn to_frame(light: &Light, world: &World, settings: LightSettings) -> Punctual {
+fn panels_of(light: &Light, shape: AreaShape, world: &World, settings: LightSettings) -> Vec<Panel> {
+    let [x, y] = [light.axes.x_axis, light.axes.y_axis].map(Vec3::as_dvec3);
+    let place = |p: DVec2| world.frame.from_world(light.position + x * p.x + y * p.y);
+    let panel = |corners: [DVec2; 3]| Panel {
+        corners: corners.map(place),
+        normal: -light.axes.z_axis,
+        radiance: light.intensity,
+        stored: !settings.indirect_only && light.bake == BakeMode::Full,
+    };
+    shape.triangles().into_iter().map(panel).collect()
+}
+
+fn panel_bounds(panel: &Panel) -> LightBounds {
+    let [a, b, c] = panel.corners;
+    LightBounds {
+        lo: a.min(b).min(c),
+        hi: a.max(b).max(c),
+        power: panel.radiance.element_sum() * 0.5 * (b - a).cross(c - a).length(),
+        axis: panel.normal,
+        cos_spread: 1.0,
+        two_sided: false,
+        all_around: false,
+    }
+}
+
+/// A light without area; `None` for one that has one.
+fn to_frame(light: &Light, world: &World, settings: LightSettings) -> Option<Punctual> {
     let m = world.frame.metres;
     let (shape, scale) = match light.kind {
         LightKind::Point => match &light.profile {
@@ -473,14 +570,15 @@ fn to_frame(light: &Light, world: &World, settings: LightSettings) -> Punctual {
             let cos_radius = libm::cos(f64::from(angular_diameter) * 0.5);
             (Shape::Directional { cos_radius: cos_radius as f32 }, 2.0 / (1.0 + cos_radius))
         }
+        LightKind::Area(_) => return None,
     };
-    Punctual {
+    Some(Punctual {
         position: world.frame.from_world(light.position),
         direction: light.direction,
         intensity: light.intensity * scale as f32,
         shape,
         stored: !settings.indirect_only && light.bake == BakeMode::Full,
-    }
+    })
 }
 
 /// Bounds of a point or spot light. Those of a profile send its flux, spread as the cone around it is.

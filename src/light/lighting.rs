@@ -9,12 +9,14 @@ use glam::{DVec3, Mat3, Vec3};
 /// All light sources besides emissive surfaces.
 #[derive(Debug, Clone)]
 pub struct Lighting {
-    /// Lights without area.
+    /// Lights that are no surfaces.
     pub lights: Vec<Light>,
     /// Light from beyond the geometry.
     pub sky: Option<Sky>,
     /// Groups of them whose light is kept apart; none where none are asked for.
     pub groups: Vec<LightGroup>,
+    /// The sky is that of the scene's file.
+    pub sky_of_scene: bool,
     /// What was odd about them.
     pub warnings: Vec<Warning>,
 }
@@ -56,6 +58,7 @@ impl Lighting {
             });
         }
         let groups = LightGroup::all(scene, &lights, sky.is_some(), &options.groups)?;
-        Ok(Lighting { lights, sky, groups, warnings })
+        let sky_of_scene = options.sky.is_none() && sky.is_some();
+        Ok(Lighting { lights, sky, sky_of_scene, groups, warnings })
     }
 }

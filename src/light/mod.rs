@@ -5,6 +5,7 @@
 //! Punctual lights, emissive triangles, suns and the sky are sampled at points spread over the texel's
 //! surface; shadow rays pass MASK, BLEND and transmissive surfaces with their exact transmittance.
 
+mod distribution;
 mod emitters;
 mod gather;
 mod groups;

@@ -1,6 +1,7 @@
 //! Directions towards the sky.
 
-use crate::scene::{Sky, sky_pixel};
+use super::distribution::{Distribution, Drawn};
+use crate::scene::{CubeMap, Sky, sky_pixel};
 use glam::{Vec2, Vec3};
 use std::f64::consts::PI;
 use std::sync::Arc;
@@ -17,48 +18,53 @@ pub enum SkySampler {
     Image(SkyImage),
 }
 
-/// An equirectangular image with the distribution of its brightness. Radiance is constant within a pixel, so
-/// that look-up and sampling agree exactly.
+/// An image of the sky with the distribution of its brightness. Radiance is constant within a texel, so that look-up
+/// and sampling agree exactly.
 #[derive(Debug, Clone)]
 pub struct SkyImage {
-    width: usize,
-    height: usize,
-    radiance: Arc<[Vec3]>,
-    rotation: f32,
-    /// Cumulative brightness of rows, then of the pixels of each row, each normalised to end at 1.
-    rows: Vec<f64>,
-    columns: Vec<f32>,
-    /// Sum of brightness times solid angle over the sphere.
-    total: f64,
+    picture: Picture,
+    /// Brightness times solid angle; its total is the sum over the sphere.
+    distribution: Distribution,
+}
+
+#[derive(Debug, Clone)]
+enum Picture {
+    Equirectangular { width: usize, height: usize, radiance: Arc<[Vec3]>, rotation: f32 },
+    Cube(CubeMap),
 }
 
 impl SkySampler {
     /// Prepares to sample `sky`; `None` where it is black.
     pub fn new(sky: &Sky) -> Option<SkySampler> {
-        match sky {
-            Sky::Constant(l) if l.max_element() <= 0.0 => None,
-            Sky::Constant(l) => Some(SkySampler::Constant(*l)),
+        let image = match sky {
+            Sky::Constant(l) if l.max_element() <= 0.0 => return None,
+            Sky::Constant(l) => return Some(SkySampler::Constant(*l)),
             Sky::Image { width, height, radiance, rotation } => {
-                let mut image = SkyImage {
-                    width: *width,
-                    height: *height,
-                    radiance: radiance.clone(),
-                    rotation: *rotation,
-                    rows: Vec::with_capacity(*height),
-                    columns: Vec::with_capacity(width * height),
-                    total: 0.0,
-                };
-                image.distribute();
-                (image.total > 0.0).then_some(SkySampler::Image(image))
+                let texel = |x: usize, y: usize| brightness(radiance[y * width + x]);
+                let distribution = Distribution::new(*width, *height, texel, |y| solid_angle(*width, *height, y));
+                let (width, height, radiance, rotation) = (*width, *height, radiance.clone(), *rotation);
+                SkyImage { picture: Picture::Equirectangular { width, height, radiance, rotation }, distribution }
             }
-        }
+            Sky::Cube(map) => {
+                let n = map.size();
+                // The faces below one another, each texel with the solid angle of its centre.
+                let texel = |x: usize, y: usize| {
+                    let [u, v] = [x, y % n].map(|t| (t as f64 + 0.5) / n as f64 * 2.0 - 1.0);
+                    let solid_angle = cube_texel_area(n) * nearness(u, v);
+                    brightness(map.texels()[y * n + x]) * solid_angle
+                };
+                let distribution = Distribution::new(n, 6 * n, texel, |_| 1.0);
+                SkyImage { picture: Picture::Cube(map.clone()), distribution }
+            }
+        };
+        (image.distribution.total > 0.0).then_some(SkySampler::Image(image))
     }
 
     /// Radiance (nit) from the unit direction `w` (towards the sky).
     pub fn radiance(&self, w: Vec3) -> Vec3 {
         match self {
             SkySampler::Constant(l) => *l,
-            SkySampler::Image(image) => image.radiance[image.pixel(w)],
+            SkySampler::Image(image) => image.radiance(w),
         }
     }
 
@@ -66,7 +72,7 @@ impl SkySampler {
     pub fn is_soft(&self, radiance: Vec3) -> bool {
         match self {
             SkySampler::Constant(_) => true,
-            SkySampler::Image(image) => brightness(radiance) <= HARD * image.total / (4.0 * PI),
+            SkySampler::Image(image) => brightness(radiance) <= HARD * image.distribution.total / (4.0 * PI),
         }
     }
 }
@@ -76,64 +82,69 @@ fn brightness(l: Vec3) -> f64 {
     l.as_dvec3().element_sum()
 }
 
+/// Exact solid angle of a texel in row `y` of an equirectangular image [sr].
+fn solid_angle(width: usize, height: usize, y: usize) -> f64 {
+    let h = height as f64;
+    let band = libm::cos(y as f64 / h * PI) - libm::cos((y + 1) as f64 / h * PI);
+    band * 2.0 * PI / width as f64
+}
+
+/// Area of a texel on a face of `n` x `n` texels of a cube of half edge 1.
+fn cube_texel_area(n: usize) -> f64 {
+    4.0 / (n * n) as f64
+}
+
+/// What an area is seen as in solid angle, at (u, v) on the face of a cube of half edge 1.
+fn nearness(u: f64, v: f64) -> f64 {
+    let squared = 1.0 + u * u + v * v;
+    1.0 / (squared * squared.sqrt())
+}
+
 impl SkyImage {
-    fn distribute(&mut self) {
-        let mut sum_rows = 0.0;
-        for y in 0..self.height {
-            let solid = self.pixel_solid_angle(y);
-            let mut sum = 0.0f64;
-            let first = self.columns.len();
-            for x in 0..self.width {
-                sum += brightness(self.radiance[y * self.width + x]);
-                self.columns.push(sum as f32);
+    fn radiance(&self, w: Vec3) -> Vec3 {
+        match &self.picture {
+            Picture::Equirectangular { width, height, radiance, rotation } => {
+                radiance[sky_pixel(*width, *height, *rotation, w)]
             }
-            if sum > 0.0 {
-                self.columns[first..].iter_mut().for_each(|c| *c = (f64::from(*c) / sum) as f32);
-            }
-            sum_rows += sum * solid;
-            self.rows.push(sum_rows);
+            Picture::Cube(map) => map.texels()[map.texel(w)],
         }
-        self.total = sum_rows;
-        if sum_rows > 0.0 {
-            self.rows.iter_mut().for_each(|r| *r /= sum_rows);
-        }
-    }
-
-    /// Exact solid angle of a pixel in row `y` [sr].
-    fn pixel_solid_angle(&self, y: usize) -> f64 {
-        let h = self.height as f64;
-        let band = libm::cos(y as f64 / h * PI) - libm::cos((y + 1) as f64 / h * PI);
-        band * 2.0 * PI / self.width as f64
-    }
-
-    fn pixel(&self, w: Vec3) -> usize {
-        sky_pixel(self.width, self.height, self.rotation, w)
     }
 
     /// Direction in proportion to brightness, with its density per solid angle [1/sr].
     pub fn sample(&self, u: Vec2) -> (Vec3, f32) {
-        let v = f64::from(u.y);
-        let y = self.rows.partition_point(|&r| r <= v).min(self.height - 1);
-        let below = if y == 0 { 0.0 } else { self.rows[y - 1] };
-        let fy = ((v - below) / (self.rows[y] - below).max(1e-300)).clamp(0.0, 1.0);
-        let row = &self.columns[y * self.width..(y + 1) * self.width];
-        let x = row.partition_point(|&c| c <= u.x).min(self.width - 1);
-        let left = if x == 0 { 0.0 } else { row[x - 1] };
-        let fx = f64::from(((u.x - left) / (row[x] - left).max(1e-30)).clamp(0.0, 1.0));
-        // Uniform in solid angle inside the pixel: linear in cos(theta).
-        let h = self.height as f64;
-        let (c0, c1) = (libm::cos(y as f64 / h * PI), libm::cos((y + 1) as f64 / h * PI));
-        let cos_theta = c0 + (c1 - c0) * fy;
-        let sin_theta = (1.0 - cos_theta * cos_theta).max(0.0).sqrt();
-        let phi = ((x as f64 + fx) / self.width as f64 - 0.5) * 2.0 * PI - f64::from(self.rotation);
-        let (s, c) = libm::sincos(phi);
-        let w = Vec3::new((sin_theta * s) as f32, cos_theta as f32, (-sin_theta * c) as f32);
+        let Drawn { x, y, within: [fx, fy] } = self.distribution.sample(u.to_array());
+        let w = match &self.picture {
+            Picture::Equirectangular { width, height, rotation, .. } => {
+                // Uniform in solid angle inside the texel: linear in cos(theta).
+                let h = *height as f64;
+                let (c0, c1) = (libm::cos(y as f64 / h * PI), libm::cos((y + 1) as f64 / h * PI));
+                let cos_theta = c0 + (c1 - c0) * fy;
+                let sin_theta = (1.0 - cos_theta * cos_theta).max(0.0).sqrt();
+                let phi = ((x as f64 + fx) / *width as f64 - 0.5) * 2.0 * PI - f64::from(*rotation);
+                let (s, c) = libm::sincos(phi);
+                Vec3::new((sin_theta * s) as f32, cos_theta as f32, (-sin_theta * c) as f32)
+            }
+            // Uniform on the face inside the texel.
+            Picture::Cube(map) => {
+                let n = map.size();
+                map.direction(y / n, (x as f64 + fx) as f32, ((y % n) as f64 + fy) as f32)
+            }
+        };
         // The density that belongs to the direction as rounded, so that both strategies weigh it alike.
         (w, self.density(w))
     }
 
     /// Density of [`sample`](Self::sample) at the unit direction `w` [1/sr].
     pub fn density(&self, w: Vec3) -> f32 {
-        (brightness(self.radiance[self.pixel(w)]) / self.total) as f32
+        let even = (brightness(self.radiance(w)) / self.distribution.total) as f32;
+        match &self.picture {
+            Picture::Equirectangular { .. } => even,
+            Picture::Cube(map) => {
+                // Per area of the face it is even; solid angle per area falls with the cube of the distance.
+                let [here, centre] = map.distances(w);
+                let farther = here / centre;
+                even * (farther * farther * farther)
+            }
+        }
     }
 }

@@ -47,6 +47,9 @@ pub struct Manifest {
     /// Groups of lights that have layers of their own in the maps, `name.R`, `name.G` and `name.B`; the main layer is their
     /// sum.
     pub groups: Vec<ManifestGroup>,
+    /// And it is that of the scene file (EXT_lights_image_based or extras), not one given to the bake.
+    #[serde(default)]
+    pub sky_of_scene: bool,
     /// What the numbers mean, in words.
     pub conventions: Conventions,
 }
@@ -191,6 +194,7 @@ impl Manifest {
                 .iter()
                 .map(|g| ManifestGroup { name: g.name.clone(), lights: g.members.clone() })
                 .collect(),
+            sky_of_scene: lighting.sky_of_scene,
             conventions: conventions(over_pi),
         }
     }

@@ -94,7 +94,7 @@ impl Scene {
                     any = true;
                     let mut change = change.clone();
                     match light.kind {
-                        LightKind::Directional { .. } => change.ies = None,
+                        LightKind::Directional { .. } | LightKind::Area(_) => change.ies = None,
                         _ => profiled = true,
                     }
                     found.lights[i] = std::mem::take(&mut found.lights[i]).overlaid(&change);

@@ -10,6 +10,7 @@
 
 mod change;
 mod clear_sky;
+mod cube_map;
 pub mod gltf;
 mod ies;
 mod light;
@@ -24,13 +25,15 @@ mod world;
 pub(crate) use change::fits;
 pub use change::{Changes, LightChange, NodeChange};
 pub use clear_sky::ClearSky;
-pub use light::{BakeMode, Camera, Light, LightKind, Projection};
+pub use cube_map::CubeMap;
+pub use light::{AreaShape, BakeMode, Camera, Light, LightKind, Projection};
 pub use material::{Alpha, Material, TextureRef};
 pub use mesh::{Instance, Mesh, Primitive};
 pub use profile::IesProfile;
 pub use sky::Sky;
 pub(crate) use sky::sky_pixel;
 pub use specular::{Bounce, Specular};
+pub(crate) use texture::srgb_table;
 pub use texture::{ColorSpace, Texture, Wrap};
 pub use world::{Frame, Met, SurfaceFlags, SurfacePoint, TriangleRef, World};
 
@@ -50,7 +53,7 @@ pub struct Scene {
     pub materials: Vec<Material>,
     /// Textures that materials refer to; images are decoded on first use.
     pub textures: Vec<Texture>,
-    /// Point, spot and directional lights.
+    /// Point, spot and directional lights, and those with an area that are no surface.
     pub lights: Vec<Light>,
     /// Cameras, for previews.
     pub cameras: Vec<Camera>,

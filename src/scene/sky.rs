@@ -1,5 +1,6 @@
 //! Light from beyond the geometry.
 
+use super::CubeMap;
 use super::texture::MAX_IMAGE_TEXELS;
 use crate::error::{SceneError, Warning};
 use exr::prelude as exr;
@@ -26,6 +27,8 @@ pub enum Sky {
         /// Rotation about +Y (rad): positive turns the picture counter-clockwise as seen from above.
         rotation: f32,
     },
+    /// Six images on the faces of a cube.
+    Cube(CubeMap),
 }
 
 /// Index of the pixel of an equirectangular image that the unit direction `w` looks at.
@@ -45,6 +48,7 @@ impl Sky {
         match self {
             Sky::Constant(radiance) => *radiance,
             Sky::Image { width, height, radiance, rotation } => radiance[sky_pixel(*width, *height, *rotation, w)],
+            Sky::Cube(map) => map.texels()[map.texel(w)],
         }
     }
 

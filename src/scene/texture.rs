@@ -117,7 +117,7 @@ fn decode_texel(t: [u8; 4], space: ColorSpace) -> Vec4 {
 }
 
 /// Linear value of each 8-bit sRGB code (IEC 61966-2-1).
-fn srgb_table() -> &'static [f32; 256] {
+pub(crate) fn srgb_table() -> &'static [f32; 256] {
     static TABLE: OnceLock<[f32; 256]> = OnceLock::new();
     TABLE.get_or_init(|| {
         std::array::from_fn(|i| {

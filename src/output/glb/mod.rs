@@ -29,9 +29,11 @@ use std::path::Path;
 /// How the scene is written.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
 pub struct GlbOptions {
-    /// Nodes whose light (KHR_lights_punctual, EXT_lights_ies) is in the maps and goes from the scene, so that no engine lights
+    /// Nodes whose light (KHR_lights_punctual, EXT_lights_ies, EXT_lights_area) is in the maps and goes from the scene, so that no engine lights
     /// twice; see [`fully_baked_lights`]. Default: none.
     pub remove_baked_lights: Vec<usize>,
+    /// The surroundings of the scene (EXT_lights_image_based) are in the maps and go likewise. Default: false.
+    pub remove_baked_sky: bool,
 }
 
 /// What was written.
@@ -95,6 +97,9 @@ fn encode(
     patch_primitives(&mut json, document, scene, atlas, &mut added, &mut info).map_err(invalid)?;
     nodes::add_rects(&mut json, scene, &node_rects(scene, atlas), &mut info.warnings);
     info.removed_lights = nodes::remove_lights(&mut json, &options.remove_baked_lights);
+    if options.remove_baked_sky {
+        info.removed_lights += nodes::remove_sky(&mut json);
+    }
 
     let (mut blobs, slots) = place_accessors(&mut json, document, added);
     let folder = document.path.parent().unwrap_or(Path::new(""));

@@ -10,7 +10,7 @@ use crate::scene::{BakeMode, Scene};
 use serde_json::{Value, json};
 
 /// Extensions that give a node a light.
-const LIGHTS: [&str; 2] = ["KHR_lights_punctual", "EXT_lights_ies"];
+const LIGHTS: [&str; 3] = ["KHR_lights_punctual", "EXT_lights_ies", "EXT_lights_area"];
 
 /// Nodes of the lights whose direct and reflected light is all in the maps, in ascending order: what
 /// [`GlbOptions::remove_baked_lights`](super::GlbOptions::remove_baked_lights) wants to know.
@@ -56,6 +56,19 @@ pub(super) fn remove_lights(json: &mut Value, nodes: &[usize]) -> usize {
         if removed > 0 && !items(json, "nodes").any(|node| node["extensions"].get(name).is_some()) {
             drop_extension(json, name);
         }
+    }
+    removed
+}
+
+/// Takes the surroundings from the scene that is baked; where no other scene has any, the extension goes too. Returns
+/// from how many.
+pub(super) fn remove_sky(json: &mut Value) -> usize {
+    const NAME: &str = "EXT_lights_image_based";
+    let scene = json.get("scene").and_then(Value::as_u64).map_or(0, |i| i as usize);
+    let Some(scene) = items_mut(json, "scenes").nth(scene) else { return 0 };
+    let removed = usize::from(take_extension(scene, NAME).is_some());
+    if removed > 0 && !items(json, "scenes").any(|scene| scene["extensions"].get(NAME).is_some()) {
+        drop_extension(json, NAME);
     }
     removed
 }

@@ -13,7 +13,9 @@ pub(super) const BASISU_CURE: &str = "`gltf-transform ktxdecompress in.glb out.g
 
 /// Read by this loader.
 const SUPPORTED: &[&str] = &[
+    "EXT_lights_area",
     "EXT_lights_ies",
+    "EXT_lights_image_based",
     "EXT_texture_webp",
     "KHR_lights_punctual",
     "KHR_materials_emissive_strength",

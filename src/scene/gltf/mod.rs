@@ -9,9 +9,11 @@
 //! The values are photometric as glTF defines them: candela, lux, nit.
 
 mod accessor;
+mod area;
 mod container;
 mod extension;
 mod ies;
+mod image_based;
 mod light;
 mod material;
 mod node;

@@ -1,7 +1,7 @@
 //! The node tree of one scene: world transforms, instances, and what nodes carry besides meshes.
 
 use super::reader::{REPAIR, Reader};
-use super::{ies, light};
+use super::{area, ies, image_based, light};
 use crate::error::SceneError;
 use crate::scene::{Camera, Instance, Light, Projection, Sky};
 use glam::{DAffine3, DMat4, DQuat, DVec3, Vec3};
@@ -24,7 +24,10 @@ pub(super) fn walk(reader: &mut Reader) -> Result<Tree, SceneError> {
     let mut tree = Tree::default();
     let roots = match chosen_scene(reader)? {
         Some(scene) => {
-            tree.sky = read_sky(reader, scene)?;
+            tree.sky = match image_based::read(reader, scene)? {
+                None => read_sky(reader, scene)?,
+                some => some,
+            };
             scene_roots(reader, scene)?
         }
         None => {
@@ -83,6 +86,8 @@ struct LightsOf<'n> {
     profiled: Option<&'n Value>,
     /// Index of that of KHR_lights_punctual.
     punctual: Option<usize>,
+    /// Of EXT_lights_area.
+    area: Option<&'n Value>,
 }
 
 impl LightsOf<'_> {
@@ -91,11 +96,12 @@ impl LightsOf<'_> {
         LightsOf {
             profiled: extensions.and_then(|e| e.others.get("EXT_lights_ies")),
             punctual: extensions.and_then(|e| e.khr_lights_punctual.as_ref()).map(|l| l.light.value()),
+            area: extensions.and_then(|e| e.others.get("EXT_lights_area")),
         }
     }
 
     fn any(&self) -> bool {
-        self.profiled.is_some() || self.punctual.is_some()
+        self.profiled.is_some() || self.punctual.is_some() || self.area.is_some()
     }
 }
 
@@ -204,6 +210,9 @@ fn read_node(
         tree.lights.extend(ies::read(reader, &mut tree.profiles, extension, index, world_from_node)?);
     } else if let Some(light) = lights.punctual {
         tree.lights.extend(light::read(reader, light, index, world_from_node)?);
+    }
+    if let Some(extension) = lights.area {
+        tree.lights.extend(area::read(reader, extension, index, world_from_node)?);
     }
     Ok(())
 }

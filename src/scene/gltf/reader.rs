@@ -1,7 +1,9 @@
 //! What all readers share: checked access to the JSON's objects, and the warnings found on the way.
 
 use super::Document;
+use super::area::PANELS;
 use super::ies::PROFILES;
+use super::image_based::SURROUNDINGS;
 use crate::error::{SceneError, Warning};
 use serde::Deserialize;
 use serde_json::Value;
@@ -50,11 +52,13 @@ impl<'d> Reader<'d> {
     }
 
     /// The top-level array `list`, empty where the file has none. `lights` are those of KHR_lights_punctual,
-    /// [`PROFILES`] those of EXT_lights_ies.
+    /// [`PROFILES`] those of EXT_lights_ies, [`SURROUNDINGS`] those of EXT_lights_image_based, [`PANELS`] those of EXT_lights_area.
     pub(super) fn list(&self, list: &str) -> Result<&'d [Value], SceneError> {
         let found = match list {
             "lights" => self.document.json.pointer("/extensions/KHR_lights_punctual/lights"),
             PROFILES => self.document.json.pointer("/extensions/EXT_lights_ies/lights"),
+            SURROUNDINGS => self.document.json.pointer("/extensions/EXT_lights_image_based/lights"),
+            PANELS => self.document.json.pointer("/extensions/EXT_lights_area/lights"),
             _ => self.document.json.get(list),
         };
         match found {
