@@ -1,7 +1,7 @@
 //! The pipeline on one page.
 
 use crate::accel::{Accel, coincident_warning, part_coincident};
-use crate::accuracy::TexelWeights;
+use crate::accuracy::{TexelWeights, add_illuminances};
 use crate::atlas::{self, Atlas, Texels, Unwrapping};
 use crate::error::{BakeError, Warning};
 use crate::light::{Emitters, LightSettings, Lighting, Visibility};
@@ -114,6 +114,7 @@ fn bake_here<'s>(scene: &'s Scene, options: &BakeOptions, observer: &mut dyn Obs
     let Surface { texels, open, probe_rays, .. } = surface;
     let mut report = report(&world, &atlas, &texels, &open, &solution, &lighting, options);
     report.set_shown(&on_screen);
+    add_illuminances(&world, &texels, &solution, &mut report.meshes);
     report.skips.extend(pilot.filter(|p| p.share < 1.0).map(|p| {
         format!(
             "texels: {:.1} % of those that fit on a page were thought enough; --density even takes all",

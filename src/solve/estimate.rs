@@ -131,6 +131,7 @@ impl Solver<'_, '_> {
         });
         let missed = missed.collect();
         Ok(Solution {
+            unsmoothed: self.unsmoothed(&caught, caustic.as_ref()),
             total,
             indirect,
             caustics,

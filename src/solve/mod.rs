@@ -118,6 +118,8 @@ impl std::ops::Add for Squares {
 pub struct Solution {
     /// Irradiance (lux) of each texel of the map.
     pub total: Halves,
+    /// The same before smoothing: without its bias, and noisier.
+    pub unsmoothed: Halves,
     /// Of it reflected light.
     pub indirect: Halves,
     /// Of that what came straight from lamps over mirrors and through glass; `None` where nothing did.

@@ -9,7 +9,7 @@ mod maps;
 
 use super::words::{audit, bytes, count, escape, figures, seconds};
 use super::write_atomically;
-use crate::accuracy::MeshError;
+use crate::accuracy::{Illuminance, MeshError};
 use crate::bake::Bake;
 use crate::error::BakeError;
 use crate::report::{Report, Seconds};
@@ -223,7 +223,10 @@ fn meshes(r: &Report) -> String {
             row(&[
                 format!("<bdi>{}</bdi>", escape(&m.name, NAME)),
                 count(m.texels as u64),
-                figures(m.mean),
+                lux(m, |l| Some((l.mean, l.mean_error))),
+                lux(m, |l| Some((l.minimum, l.minimum_error))),
+                lux(m, |l| Some((l.maximum, l.maximum_error))),
+                lux(m, |l| l.uniformity.zip(l.uniformity_error)),
                 figures(m.error_percent),
                 (if met(m) { "<span class=\"good\">yes</span>" } else { "<span class=\"bad\">no</span>" }).into(),
             ])
@@ -240,13 +243,20 @@ fn meshes(r: &Report) -> String {
     });
     format!(
         "<h2>Meshes</h2>\n<p class=\"soft\">{} of {} meet the target of {} %, each relative to the larger of its own \
-         mean and 1 % of the scene's. Worst first.</p>\n\
+         mean and 1 % of the scene's. Worst first. Lux: illuminance with one standard error; least and largest of \
+         patches as wide as the measuring grid of EN 12464-1; U<sub>0</sub> is least over mean.</p>\n\
          <div class=\"wide\"><table class=\"meshes\">\n{}{rows}</table></div>\n{rest}",
         r.meshes.iter().filter(|m| met(m)).count(),
         r.meshes.len(),
         figures(r.target_mesh_percent),
-        head(&["node", "texels", "mean lux", "error %", "met"])
+        head(&["node", "texels", "mean lux", "least lux", "largest lux", "U<sub>0</sub>", "error %", "met"])
     )
+}
+
+/// A figure of a mesh's illuminance with its error.
+fn lux(mesh: &MeshError, of: impl Fn(&Illuminance) -> Option<(f64, f64)>) -> String {
+    let known = mesh.illuminance.as_ref().and_then(of);
+    known.map_or("not known".into(), |(value, error)| format!("{} ± {}", figures(value), figures(error)))
 }
 
 /// What is odd, and what was left out.
