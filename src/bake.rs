@@ -3,6 +3,7 @@
 use crate::accel::{Accel, coincident_warning, part_coincident};
 use crate::accuracy::{TexelWeights, add_illuminances};
 use crate::atlas::{self, Atlas, Texels, Unwrapping};
+use crate::backs::LitBacks;
 use crate::error::{BakeError, Warning};
 use crate::light::{Emitters, LightSettings, Lighting, Visibility};
 use crate::lightmap::{GridPoints, Lightmap, shown_error};
@@ -33,6 +34,8 @@ pub struct Bake<'s> {
     pub texels: Texels,
     /// Irradiance of each texel in two halves.
     pub solution: Solution,
+    /// Light that ends on backs.
+    pub backs: LitBacks,
 }
 
 /// Bakes `scene`: unwraps, traces until the target is met or a limit binds, and makes the maps. Reads no files
@@ -122,6 +125,8 @@ fn bake_here<'s>(scene: &'s Scene, options: &BakeOptions, observer: &mut dyn Obs
         )
     }));
     report.skips.extend(unseen_skip(scene, &atlas));
+    let backs = LitBacks::new(&visibility, &emitters, &solution, options.seed);
+    report.warnings.extend(backs.warnings(scene));
     report.warnings.extend(coincident_warning(&world, &parted));
     (report.work.emissive_triangles, report.work.lights) = emitters.counts();
     report.work.probe_rays = probe_rays;
@@ -140,7 +145,7 @@ fn bake_here<'s>(scene: &'s Scene, options: &BakeOptions, observer: &mut dyn Obs
     seconds.total = clock.began.elapsed().as_secs_f64();
     report.seconds = seconds;
     report.warnings.iter().for_each(|w| observer.warn(w));
-    Ok(Bake { atlas, lightmap, report, lighting, world, accel, texels, solution })
+    Ok(Bake { atlas, lightmap, report, lighting, world, accel, texels, solution, backs })
 }
 
 /// Direct samples, relative to those of the bake, that may tell what filtering shows.
@@ -164,7 +169,6 @@ fn report(
     warnings.extend(atlas.warnings.iter().cloned());
     warnings.extend(lighting.warnings.iter().cloned());
     warnings.extend(texture_warnings(scene));
-    warnings.extend(back_warnings(scene, solution));
     let mut report = Report {
         evenlight: env!("CARGO_PKG_VERSION"),
         scene: scene.name.clone(),
@@ -240,26 +244,6 @@ fn unseen_skip(scene: &Scene, atlas: &Atlas) -> Option<String> {
         atlas.unseen.len(),
         scene.instances.len(),
     ))
-}
-
-/// Share of all photons' flux that the backs of one node must meet to be worth a warning.
-const BACK_SHARE: f64 = 0.005;
-
-/// Nodes whose one-sided surfaces are lit from behind.
-fn back_warnings<'a>(scene: &'a Scene, solution: &'a Solution) -> impl Iterator<Item = Warning> + 'a {
-    let emitted = solution.ledger.emitted.iter().sum::<i128>().max(1) as f64;
-    scene.instances.iter().zip(&solution.back_flux).filter_map(move |(instance, &flux)| {
-        let share = flux as f64 / emitted;
-        (share > BACK_SHARE).then(|| {
-            let what = format!(
-                "node {}: {:.1} % of all reflected light meets backs of its one-sided surfaces and is absorbed; \
-                 turn its faces or make its material double-sided",
-                instance.name,
-                100.0 * share
-            );
-            Warning::new("lit-from-behind", what)
-        })
-    })
 }
 
 /// Images that turned out not to be decodable when they were looked at.

@@ -47,6 +47,7 @@ pub mod cell;
 pub mod accuracy;
 pub mod solve;
 pub mod pilot;
+pub mod backs;
 pub mod lightmap;
 pub mod output;
 

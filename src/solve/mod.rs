@@ -169,7 +169,7 @@ pub struct Solution {
     pub gathered_meshes: usize,
     /// Where the photons' flux went.
     pub ledger: EnergyLedger,
-    /// Flux over the three channels that met the backs of each instance's one-sided surfaces.
+    /// Flux over the three channels that met the back of each triangle of one-sided surface.
     pub back_flux: Vec<i64>,
     /// Flux of one integer step [lux x frame units squared].
     pub unit: f64,
