@@ -12,6 +12,7 @@ use crate::options::{BakeOptions, Lights, UvSource};
 use crate::pilot::adapt_density;
 use crate::report::{AtlasSummary, Energy, Report, Seconds, Split, Work};
 use crate::scene::{Scene, SurfaceFlags, World};
+use crate::skips::Skips;
 use crate::solve::{LightSeconds, Solution, Surface, solve};
 use std::time::Instant;
 
@@ -118,13 +119,9 @@ fn bake_here<'s>(scene: &'s Scene, options: &BakeOptions, observer: &mut dyn Obs
     let mut report = report(&world, &atlas, &texels, &open, &solution, &lighting, options);
     report.set_shown(&on_screen);
     add_illuminances(&world, &texels, &solution, &mut report.meshes);
-    report.skips.extend(pilot.filter(|p| p.share < 1.0).map(|p| {
-        format!(
-            "texels: {:.1} % of those that fit on a page were thought enough; --density even takes all",
-            100.0 * p.share
-        )
-    }));
-    report.skips.extend(unseen_skip(scene, &atlas));
+    let skips =
+        Skips { visibility: &visibility, lighting: &lighting, atlas: &atlas, texels: &texels, open: &open, pilot };
+    report.skips.extend(skips.lines());
     let backs = LitBacks::new(&visibility, &emitters, &solution, options.seed);
     report.warnings.extend(backs.warnings(scene));
     report.warnings.extend(coincident_warning(&world, &parted));
@@ -233,17 +230,6 @@ fn report(
     };
     report.set_texel_error(&solution.error);
     report
-}
-
-/// Nodes on which nobody would see a map.
-fn unseen_skip(scene: &Scene, atlas: &Atlas) -> Option<String> {
-    let first = &scene.instances[*atlas.unseen.first()?].name;
-    Some(format!(
-        "maps: {} of {} nodes are metal, glass or black all over, {first} for one, and would not show any; --only bakes \
-         what it names",
-        atlas.unseen.len(),
-        scene.instances.len(),
-    ))
 }
 
 /// Images that turned out not to be decodable when they were looked at.

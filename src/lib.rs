@@ -52,6 +52,7 @@ pub mod lightmap;
 pub mod output;
 
 mod bisect;
+mod skips;
 pub mod error;
 pub mod observer;
 pub mod options;

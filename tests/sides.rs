@@ -3,9 +3,12 @@
 mod common;
 
 use common::formulas::{QuadMap, point_irradiance, polygon_irradiance};
+use common::random::Random;
 use common::rooms::{Builder, plain, run, two_rooms};
 use common::runs::{area_mean, node_mean, one_round, samples, side_mean, texel_samples};
 use common::statistics::{ALPHA, expect_mean, normal_upper_quantile, sidak, welch_score};
+use evenlight::accel::Ray;
+use evenlight::light::Visibility;
 use evenlight::options::DoubleSided;
 use evenlight::output::preview::render_backs;
 use evenlight::scene::{Alpha, LightKind, Material, Scene, Texture, TextureRef, Wrap};
@@ -444,4 +447,43 @@ fn a_flipped_wall_is_red_in_the_picture() {
     assert!(red(&pixels[(height / 2 * width + width / 2) as usize]));
     let share = pixels.iter().filter(|p| red(p)).count() as f64 / pixels.len() as f64;
     assert!((0.2..0.95).contains(&share), "{share}");
+}
+
+/// Without a surface that lets light pass, shadow rays look at no material: the same answer, sooner, and the report says so.
+/// An image that no ray looks at is not decoded, and a light that sends nothing takes no rays.
+#[test]
+fn what_a_scene_does_not_need_is_skipped() {
+    let (scene, mut more) = (cube(0.5, false), cube(0.5, false));
+    let skips = |scene: &Scene| run(scene, &one_round(PAGE)).report.skips;
+    let said = |lines: &[String], what: &str| lines.iter().find(|s| s.starts_with(what)).cloned();
+    let plain = run(&scene, &one_round(PAGE));
+    assert!(said(&plain.report.skips, "alpha tests: ").is_some());
+    assert_eq!((said(&plain.report.skips, "lights: "), said(&plain.report.skips, "images: ")), (None, None));
+
+    let quick = Visibility::new(&plain.world, &plain.accel);
+    let slow = Visibility { some_pass: true, ..quick };
+    let mut random = Random::new(3);
+    let mut point = || Vec3::from_array([0; 3].map(|_| 1.5 * random.normal() as f32));
+    for _ in 0..10_000 {
+        let (origin, to) = (point(), point());
+        let ray = Ray { origin, direction: to - origin, t_max: 1.0 };
+        assert_eq!(quick.transmittance(&ray), slow.transmittance(&ray));
+    }
+
+    // A black lamp, and an image on a material that nothing has.
+    let black = evenlight::scene::Light { intensity: Vec3::ZERO, ..more.lights[0].clone() };
+    more.lights.push(black);
+    more.textures.push(Texture::new("unused".into(), [0u8; 4].as_slice().into(), [Wrap::Repeat; 2], false));
+    let image = TextureRef { texture: 0, tex_coord: 1, transform: Affine2::IDENTITY };
+    more.materials.push(Material { base_color_texture: Some(image), ..Material::default() });
+    let with = run(&more, &one_round(PAGE));
+    assert!(said(&with.report.skips, "lights: 1 of 2").is_some(), "{:?}", with.report.skips);
+    assert!(said(&with.report.skips, "images: 1 of 1").is_some(), "{:?}", with.report.skips);
+    assert_eq!(with.report.work.direct_rays, plain.report.work.direct_rays);
+    assert_eq!(with.lightmap.pages[0].irradiance, plain.lightmap.pages[0].irradiance);
+
+    // Walls that let half of the light pass: now materials are looked at.
+    more.materials[0].base_color.w = 0.5;
+    more.materials[0].alpha = Alpha::Blend;
+    assert_eq!(said(&skips(&more), "alpha tests: "), None);
 }
