@@ -20,17 +20,10 @@ impl Skips<'_> {
     /// One line for each, with what it saved.
     pub(crate) fn lines(&self) -> Vec<String> {
         let scene = self.visibility.world.scene;
-        [
-            self.spare_texels(),
-            self.unseen_nodes(scene),
-            self.buried_charts(),
-            images(scene),
-            self.lights(),
-            self.alpha_tests(),
-        ]
-        .into_iter()
-        .flatten()
-        .collect()
+        [self.spare_texels(), self.unseen_nodes(scene), self.buried_charts(), images(scene), self.lights()]
+            .into_iter()
+            .flatten()
+            .collect()
     }
 
     fn spare_texels(&self) -> Option<String> {
@@ -79,14 +72,6 @@ impl Skips<'_> {
         let lights = &self.lighting.lights;
         let off = lights.iter().filter(|l| l.bake == BakeMode::Off || l.intensity.max_element() <= 0.0).count();
         (off > 0).then(|| format!("lights: {off} of {} are off or send nothing, and took no shadow rays", lights.len()))
-    }
-
-    /// Looks at what shadow rays meet.
-    fn alpha_tests(&self) -> Option<String> {
-        (!self.visibility.some_pass).then(|| {
-            "alpha tests: no surface lets light pass, so that the first hit ends a shadow ray and no material is looked at"
-                .into()
-        })
     }
 }
 

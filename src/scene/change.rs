@@ -244,7 +244,7 @@ fn check(changes: &Changes) -> Result<(), BakeError> {
 }
 
 /// Whether `pattern`, which may end in `*`, stands for `name`.
-fn fits(pattern: &str, name: &str) -> bool {
+pub(crate) fn fits(pattern: &str, name: &str) -> bool {
     pattern == name || pattern.strip_suffix('*').is_some_and(|start| name.starts_with(start))
 }
 

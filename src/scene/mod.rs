@@ -21,6 +21,7 @@ mod specular;
 mod texture;
 mod world;
 
+pub(crate) use change::fits;
 pub use change::{Changes, LightChange, NodeChange};
 pub use clear_sky::ClearSky;
 pub use light::{BakeMode, Camera, Light, LightKind, Projection};
