@@ -1,8 +1,9 @@
 //! The pipeline on one page.
 
 use crate::accel::{Accel, coincident_warning, part_coincident};
-use crate::accuracy::TexelWeights;
+use crate::accuracy::{TexelWeights, add_illuminances};
 use crate::atlas::{self, Atlas, Texels, Unwrapping};
+use crate::backs::LitBacks;
 use crate::error::{BakeError, Warning};
 use crate::light::{Emitters, LightGroup, LightSettings, Lighting, Visibility};
 use crate::lightmap::{GridPoints, Lightmap, shown_error};
@@ -11,6 +12,7 @@ use crate::options::{BakeOptions, Lights, UvSource};
 use crate::pilot::adapt_density;
 use crate::report::{AtlasSummary, Energy, GroupReport, Report, Seconds, Split, Work};
 use crate::scene::{Scene, SurfaceFlags, World};
+use crate::skips::Skips;
 use crate::solve::{LightSeconds, Solution, Surface, solve_groups};
 use std::time::Instant;
 
@@ -33,6 +35,8 @@ pub struct Bake<'s> {
     pub texels: Texels,
     /// Irradiance of each texel in two halves.
     pub solution: Solution,
+    /// Light that ends on backs.
+    pub backs: LitBacks,
 }
 
 /// Bakes `scene`: unwraps, traces until the target is met or a limit binds, and makes the maps. Reads no files
@@ -116,13 +120,12 @@ fn bake_here<'s>(scene: &'s Scene, options: &BakeOptions, observer: &mut dyn Obs
     let Surface { texels, open, probe_rays, .. } = surface;
     let mut report = report(&world, &atlas, &texels, &open, &solution, &lighting, options);
     report.set_shown(&on_screen);
-    report.skips.extend(pilot.filter(|p| p.share < 1.0).map(|p| {
-        format!(
-            "texels: {:.1} % of those that fit on a page were thought enough; --density even takes all",
-            100.0 * p.share
-        )
-    }));
-    report.skips.extend(unseen_skip(scene, &atlas));
+    add_illuminances(&world, &texels, &solution, &mut report.meshes);
+    let skips =
+        Skips { visibility: &visibility, lighting: &lighting, atlas: &atlas, texels: &texels, open: &open, pilot };
+    report.skips.extend(skips.lines());
+    let backs = LitBacks::new(&visibility, &emitters, &solution, options.seed);
+    report.warnings.extend(backs.warnings(scene));
     report.warnings.extend(coincident_warning(&world, &parted));
     (report.work.emissive_triangles, report.work.lights) = emitters.counts();
     report.work.probe_rays = probe_rays;
@@ -141,7 +144,7 @@ fn bake_here<'s>(scene: &'s Scene, options: &BakeOptions, observer: &mut dyn Obs
     seconds.total = clock.began.elapsed().as_secs_f64();
     report.seconds = seconds;
     report.warnings.iter().for_each(|w| observer.warn(w));
-    Ok(Bake { atlas, lightmap, report, lighting, world, accel, texels, solution })
+    Ok(Bake { atlas, lightmap, report, lighting, world, accel, texels, solution, backs })
 }
 
 /// Direct samples, relative to those of the bake, that may tell what filtering shows.
@@ -165,7 +168,6 @@ fn report(
     warnings.extend(atlas.warnings.iter().cloned());
     warnings.extend(lighting.warnings.iter().cloned());
     warnings.extend(texture_warnings(scene));
-    warnings.extend(back_warnings(scene, solution));
     let mut report = Report {
         evenlight: env!("CARGO_PKG_VERSION"),
         scene: scene.name.clone(),
@@ -231,37 +233,6 @@ fn report(
     };
     report.set_texel_error(&solution.error);
     report
-}
-
-/// Nodes on which nobody would see a map.
-fn unseen_skip(scene: &Scene, atlas: &Atlas) -> Option<String> {
-    let first = &scene.instances[*atlas.unseen.first()?].name;
-    Some(format!(
-        "maps: {} of {} nodes are metal, glass or black all over, {first} for one, and would not show any; --only bakes \
-         what it names",
-        atlas.unseen.len(),
-        scene.instances.len(),
-    ))
-}
-
-/// Share of all photons' flux that the backs of one node must meet to be worth a warning.
-const BACK_SHARE: f64 = 0.005;
-
-/// Nodes whose one-sided surfaces are lit from behind.
-fn back_warnings<'a>(scene: &'a Scene, solution: &'a Solution) -> impl Iterator<Item = Warning> + 'a {
-    let emitted = solution.ledger.emitted.iter().sum::<i128>().max(1) as f64;
-    scene.instances.iter().zip(&solution.back_flux).filter_map(move |(instance, &flux)| {
-        let share = flux as f64 / emitted;
-        (share > BACK_SHARE).then(|| {
-            let what = format!(
-                "node {}: {:.1} % of all reflected light meets backs of its one-sided surfaces and is absorbed; \
-                 turn its faces or make its material double-sided",
-                instance.name,
-                100.0 * share
-            );
-            Warning::new("lit-from-behind", what)
-        })
-    })
 }
 
 /// Images that turned out not to be decodable when they were looked at.

@@ -47,10 +47,12 @@ pub mod cell;
 pub mod accuracy;
 pub mod solve;
 pub mod pilot;
+pub mod backs;
 pub mod lightmap;
 pub mod output;
 
 mod bisect;
+mod skips;
 pub mod error;
 pub mod observer;
 pub mod options;

@@ -57,9 +57,9 @@ pub struct BakeOptions {
     pub smoothing: Smoothing,
     /// What the maps hold. Default: irradiance over pi.
     pub quantity: Quantity,
-    /// Nodes to bake, by name; empty: all. Others still occlude and bounce. Default: all.
+    /// Nodes to bake, by name, `*` at its end for any end; empty: all. Others still occlude and bounce. Default: all.
     pub only: Vec<String>,
-    /// Nodes not to bake, by name. Default: none.
+    /// Nodes not to bake, by such names. Default: none.
     pub exclude: Vec<String>,
     /// How much of the map is path-traced to check the stated error. Default: automatic.
     pub audit: Audits,

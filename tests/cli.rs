@@ -3,6 +3,7 @@
 mod common;
 
 use assert_cmd::Command;
+use common::glb::SceneBuilder;
 use common::program::{evenlight, expect, read_json, text};
 use serde_json::Value;
 use std::path::{Path, PathBuf};
@@ -235,6 +236,42 @@ fn a_smaller_bake_leaves_nothing_of_a_larger_one_and_all_that_is_not_ours() {
     let mut expected = [&written[..], &["lightmap-x.exr", "notes.txt"]].concat();
     expected.sort_unstable();
     expect_files(&expected);
+}
+
+/// A ceiling turned upwards is named, shown and, once it is turned down, no longer shown.
+#[test]
+fn a_face_lit_from_behind_has_a_picture() {
+    let folder = temporary();
+    let out = folder.path().join("out");
+    let write = |ceiling: [[f32; 3]; 4]| {
+        let bytes = SceneBuilder::new()
+            .material("grey", [0.5; 3])
+            .quad("floor", [[-1.0, 0.0, 1.0], [1.0, 0.0, 1.0], [1.0, 0.0, -1.0], [-1.0, 0.0, -1.0]])
+            .quad("ceiling", ceiling)
+            .point_light("lamp", [0.0, 1.0, 0.0], [100.0; 3])
+            .glb();
+        std::fs::write(folder.path().join("scene.glb"), bytes).expect("a file");
+    };
+    let run = || {
+        let options = ["--target-percent", "20", "--target-mesh-percent", "100", "--max-texture", "64"];
+        let arguments = [&["bake", "scene.glb", "-o", "out"][..], &options].concat();
+        let said = expect(&evenlight(folder.path(), &arguments), 0);
+        let report = read_json(&out.join("report.json"));
+        let html = std::fs::read_to_string(out.join("report.html")).expect("a report");
+        let pictures = files(&out).into_iter().filter(|f| f.starts_with("backs-")).collect::<Vec<_>>();
+        (said, report["warnings"].to_string(), html.contains("Lit from behind"), pictures)
+    };
+    let up = [[-1.0, 2.0, 1.0], [1.0, 2.0, 1.0], [1.0, 2.0, -1.0], [-1.0, 2.0, -1.0]];
+    write(up);
+    let (said, warnings, html, pictures) = run();
+    assert!(said.contains("backs-0.png shows where node ceiling is lit from behind"), "{said}");
+    assert!(warnings.contains("backs-0.png") && warnings.contains("node ceiling: "), "{warnings}");
+    assert!(html);
+    assert_eq!(pictures, ["backs-0.png"]);
+
+    write([up[3], up[2], up[1], up[0]]);
+    let (_, warnings, html, pictures) = run();
+    assert!(!warnings.contains("lit-from-behind") && !html && pictures.is_empty(), "{warnings}");
 }
 
 #[test]

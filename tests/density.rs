@@ -109,3 +109,28 @@ fn fewer_texels_where_memory_is_short() {
     let refused = bake(&scene, &BakeOptions { memory_limit: limit, density: asked, ..options }, &mut NoObserver);
     assert!(refused.is_err_and(|e| e.to_string().contains("--memory-limit")));
 }
+
+/// A box inside another gets light from nowhere and is seen from nowhere: a pilot gives it few texels, where even density
+/// gives it as many as the rest, and the report says so.
+#[test]
+fn what_is_inside_a_solid_gets_few_texels() {
+    let mut b = Builder::new(256);
+    let grey = b.diffuse(0.3, 0.0);
+    b.quad("ground", Vec3::new(-4.0, 0.0, -4.0), Vec3::Z * 8.0, Vec3::X * 8.0, grey, [8; 2]);
+    b.solid(Vec3::new(-1.0, 0.5, -1.0), Vec3::new(1.0, 2.5, 1.0), grey, 8);
+    b.solid(Vec3::new(-0.9, 0.6, -0.9), Vec3::new(0.9, 2.4, 0.9), grey, 8);
+    b.point_light(Vec3::new(2.0, 4.0, 1.0), 100.0);
+    let scene = b.finish();
+    let inside = |density| {
+        let report = baked(&scene, 128, density, 3.0, None);
+        let line = report.skips.iter().find(|s| s.starts_with("light: ")).expect("buried charts").clone();
+        println!("{line}");
+        let numbers: Vec<f64> = line.split(' ').filter_map(|w| w.parse().ok()).collect();
+        assert_eq!(numbers[..2], [6.0, 13.0], "{line}");
+        numbers[2] / numbers[3]
+    };
+    let (even, adapted) = (inside(Density::Even), inside(Density::Auto));
+    // By area 19.44 of 107.44 m2.
+    assert!((even - 0.18).abs() < 0.03, "{even}");
+    assert!(adapted < 0.25 * even, "{adapted} for {even}");
+}

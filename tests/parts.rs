@@ -66,6 +66,14 @@ fn what_receives_nothing_still_casts() {
     let bake = run(&scene, &one_round(PAGE));
     assert!(bake.report.meshes.iter().all(|m| m.name == "floor"));
     assert!(bake.report.atlas.transport_texels > 0 && bake.report.work.deposits > 0);
+    // A name may leave its end open.
+    scene.instances[1].bake = true;
+    for (only, exclude) in [(vec!["flo*".to_string()], vec![]), (vec![], vec![format!("{}*", scene.instances[1].name)])]
+    {
+        let bake = run(&scene, &BakeOptions { only, exclude, ..one_round(PAGE) });
+        assert!(bake.report.meshes.iter().all(|m| m.name == "floor"));
+    }
+    scene.instances[1].bake = false;
     let unreceived = mean(&scene);
     assert!((unreceived / there - 1.0).abs() < 0.02, "{unreceived} lux, {there} with a map");
 }

@@ -86,7 +86,15 @@ fn it_says_what_was_reached() {
     with_bake(|bake| {
         let html = report_html::html(bake).expect("a report");
         assert!(html.contains("target 3 % met:"));
-        for what in ["Error against time", "noise of direct light", "texel grid", "texels per metre", "lightmap UVs"] {
+        for what in [
+            "Error against time",
+            "noise of direct light",
+            "texel grid",
+            "texels per metre",
+            "lightmap UVs",
+            "U<sub>0</sub>",
+            " ± ",
+        ] {
             assert!(html.contains(what), "{what}");
         }
         let rounds = bake.report.history.len();

@@ -3,10 +3,14 @@
 mod common;
 
 use common::formulas::{QuadMap, point_irradiance, polygon_irradiance};
+use common::random::Random;
 use common::rooms::{Builder, plain, run, two_rooms};
 use common::runs::{area_mean, node_mean, one_round, samples, side_mean, texel_samples};
 use common::statistics::{ALPHA, expect_mean, normal_upper_quantile, sidak, welch_score};
+use evenlight::accel::Ray;
+use evenlight::light::Visibility;
 use evenlight::options::DoubleSided;
+use evenlight::output::preview::render_backs;
 use evenlight::scene::{Alpha, LightKind, Material, Scene, Texture, TextureRef, Wrap};
 use evenlight::{Bake, BakeOptions};
 use glam::{Affine2, DAffine3, DVec3, Vec2, Vec3, Vec4};
@@ -381,4 +385,98 @@ fn no_light_passes_a_fold() {
         assert!(outer > 400, "{outer} texels");
         assert!(inner <= 2, "seed {seed}: {inner} texels with light inside the screen");
     }
+}
+
+/// A cube of 2 m, a lamp of 10 cd in its middle; the first wall turned over where `flipped`.
+fn cube(albedo: f32, flipped: bool) -> Scene {
+    let mut b = Builder::new(PAGE);
+    let wall = b.diffuse(albedo, 0.0);
+    b.room(Vec3::ZERO, Vec3::splat(2.0), wall, 8);
+    b.point_light(Vec3::ONE, 10.0);
+    let mut scene = b.finish();
+    if flipped {
+        scene.meshes[0].primitives[0].triangles.iter_mut().for_each(|t| t.swap(1, 2));
+    }
+    scene
+}
+
+/// A sixth of the lamp's light meets the flipped wall, whether or not the others reflect any, and what they reflect
+/// meets it, too.
+#[test]
+fn a_flipped_wall_is_found_by_its_light() {
+    for albedo in [0.0, 0.5] {
+        let scene = cube(albedo, true);
+        let bake = run(&scene, &one_round(PAGE));
+        let [node] = bake.backs.nodes[..] else { panic!("{:?}", bake.backs.nodes) };
+        assert_eq!(node.instance, 0);
+        assert!((node.direct - 1.0 / 6.0).abs() < 0.005, "{}", node.direct);
+        assert_eq!(node.reflected > 0.0, albedo > 0.0);
+        assert_eq!(bake.report.warnings.iter().filter(|w| w.code == "lit-from-behind").count(), 1);
+        if albedo == 0.0 {
+            // Flux of the sixth of a sphere, over 4 m2.
+            let expected = 10.0 * 4.0 * PI / 6.0 / 4.0;
+            let mean = (0..bake.world.len()).map(|t| f64::from(bake.backs.irradiance[t])).sum::<f64>() / 2.0;
+            assert!((mean / expected - 1.0).abs() < 0.2, "{mean} for {expected}");
+        }
+    }
+}
+
+/// Sun and sky on the outer sides of a room are not at fault, nor is anything where all walls are as they should be.
+#[test]
+fn a_room_under_the_sun_is_not_lit_from_behind() {
+    let mut scene = cube(0.5, false);
+    let sun = LightKind::Directional { angular_diameter: 0.0093 };
+    let lamp = scene.lights[0].clone();
+    scene.lights.push(evenlight::scene::Light { kind: sun, intensity: Vec3::splat(1e5), ..lamp });
+    scene.sky = Some(evenlight::scene::Sky::Constant(Vec3::splat(1e4)));
+    let bake = run(&scene, &one_round(PAGE));
+    assert_eq!((&bake.backs.nodes[..], &bake.backs.irradiance[..]), (&[][..], &[][..]));
+}
+
+/// The picture looks at the flipped wall from inside: red in its middle and over much of it, all else is grey.
+#[test]
+fn a_flipped_wall_is_red_in_the_picture() {
+    let scene = cube(0.5, true);
+    let bake = run(&scene, &one_round(PAGE));
+    let (width, height) = (64, 36);
+    let image = render_backs(&bake.world, &|ray| bake.accel.closest(ray), &bake.backs, 0, [width, height]);
+    let pixels = image.rgb.as_chunks::<3>().0;
+    let red = |p: &[u8; 3]| p[0] > 3 * p[1].max(p[2]);
+    let grey = |p: &[u8; 3]| p[0] == p[1] && p[1] == p[2] && p[0] > 60;
+    assert!(pixels.iter().all(|p| red(p) || grey(p)), "neither red nor grey");
+    assert!(red(&pixels[(height / 2 * width + width / 2) as usize]));
+    let share = pixels.iter().filter(|p| red(p)).count() as f64 / pixels.len() as f64;
+    assert!((0.2..0.95).contains(&share), "{share}");
+}
+
+/// Without a surface that lets light pass, shadow rays look at no material: the same answer. An image that no ray looks at
+/// is not decoded, and a light that sends nothing takes no rays.
+#[test]
+fn what_a_scene_does_not_need_is_skipped() {
+    let (scene, mut more) = (cube(0.5, false), cube(0.5, false));
+    let said = |lines: &[String], what: &str| lines.iter().find(|s| s.starts_with(what)).cloned();
+    let plain = run(&scene, &one_round(PAGE));
+    assert_eq!((said(&plain.report.skips, "lights: "), said(&plain.report.skips, "images: ")), (None, None));
+
+    let quick = Visibility::new(&plain.world, &plain.accel);
+    let slow = Visibility { some_pass: true, ..quick };
+    let mut random = Random::new(3);
+    let mut point = || Vec3::from_array([0; 3].map(|_| 1.5 * random.normal() as f32));
+    for _ in 0..10_000 {
+        let (origin, to) = (point(), point());
+        let ray = Ray { origin, direction: to - origin, t_max: 1.0 };
+        assert_eq!(quick.transmittance(&ray), slow.transmittance(&ray));
+    }
+
+    // A black lamp, and an image on a material that nothing has.
+    let black = evenlight::scene::Light { intensity: Vec3::ZERO, ..more.lights[0].clone() };
+    more.lights.push(black);
+    more.textures.push(Texture::new("unused".into(), [0u8; 4].as_slice().into(), [Wrap::Repeat; 2], false));
+    let image = TextureRef { texture: 0, tex_coord: 1, transform: Affine2::IDENTITY };
+    more.materials.push(Material { base_color_texture: Some(image), ..Material::default() });
+    let with = run(&more, &one_round(PAGE));
+    assert!(said(&with.report.skips, "lights: 1 of 2").is_some(), "{:?}", with.report.skips);
+    assert!(said(&with.report.skips, "images: 1 of 1").is_some(), "{:?}", with.report.skips);
+    assert_eq!(with.report.work.direct_rays, plain.report.work.direct_rays);
+    assert_eq!(with.lightmap.pages[0].irradiance, plain.lightmap.pages[0].irradiance);
 }

@@ -1,5 +1,6 @@
 //! Error of the mean of two halves: their noise, and the bias of cells.
 
+use super::illuminance::Illuminance;
 use super::interval::{TWO_SIDED_95, chi_square_quantile};
 use super::plan::SMOOTH_FALL;
 use crate::atlas::Texels;
@@ -221,7 +222,7 @@ const BLOCK: usize = 64;
 const CELL_FREEDOM: f64 = 3.0;
 
 /// Rec. 709 luminance.
-fn luminance(c: Vec3) -> f64 {
+pub(super) fn luminance(c: Vec3) -> f64 {
     0.2126 * f64::from(c.x) + 0.7152 * f64::from(c.y) + 0.0722 * f64::from(c.z)
 }
 
@@ -386,9 +387,9 @@ pub struct MeshError {
     pub texels: usize,
     /// Mean irradiance (lux), over area and channels.
     pub mean: f64,
-    /// Least mean irradiance of a texel (lux).
+    /// Least irradiance of a texel (lux), noise and all; `illuminance` has what a luxmeter would find.
     pub minimum: f64,
-    /// Largest mean irradiance of a texel (lux).
+    /// Largest irradiance of a texel (lux), likewise.
     pub maximum: f64,
     /// RMS error relative to the larger of the node's mean and 1 % of the scene's; with one standard error of the
     /// bias on top, so that too few photons to show whether it is right do not pass for none.
@@ -396,6 +397,8 @@ pub struct MeshError {
     /// Share of its texels' area whose error is at most the target times the larger of E there and 1 % of the
     /// scene's mean.
     pub area_within_target: f64,
+    /// Illuminance with its errors; `None` until the maps are made.
+    pub illuminance: Option<Illuminance>,
 }
 
 /// Errors per node, in the order of the instances, and the share of all area within the target. `bias` is that of
@@ -462,6 +465,7 @@ pub fn mesh_errors(
                 maximum: n.largest,
                 error_percent: if base > 0.0 { 100.0 * rms / base } else { 0.0 },
                 area_within_target: n.within / n.sums.weight,
+                illuminance: None,
             }
         })
         .collect();

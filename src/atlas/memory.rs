@@ -10,8 +10,8 @@ use crate::scene::{Scene, TriangleRef, World};
 /// Bytes per cell of a page: the table from cells to texels, of both sides, and the finished maps.
 const BYTES_PER_CELL: u64 = 8 + 60;
 
-/// Bytes per triangle: world corners, normals, grid placement, hierarchy.
-const BYTES_PER_TRIANGLE: u64 = 250;
+/// Bytes per triangle: world corners, normals, grid placement, hierarchy, light on its back.
+const BYTES_PER_TRIANGLE: u64 = 280;
 
 /// Bytes per texel of one side: pieces, both halves of direct light and photons, surface tree, estimates (measured: 650 to
 /// 750), and as many again for texels at the borders of charts, which count here by the part that is covered.

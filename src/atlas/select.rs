@@ -2,7 +2,7 @@
 
 use crate::error::BakeError;
 use crate::options::{BakeOptions, UvSource};
-use crate::scene::{Instance, Material, Scene};
+use crate::scene::{Instance, Material, Scene, fits};
 
 /// The instances that get a lightmap.
 #[derive(Debug, Clone)]
@@ -22,14 +22,15 @@ pub(super) struct Selected {
 pub(super) fn select(scene: &Scene, options: &BakeOptions) -> Result<Selected, BakeError> {
     for (flag, names) in [("--only", &options.only), ("--exclude", &options.exclude)] {
         for name in names {
-            if !scene.instances.iter().any(|i| i.name == *name) {
+            if !scene.instances.iter().any(|i| fits(name, &i.name)) {
                 return Err(BakeError::Options(unknown_name(scene, flag, name)));
             }
         }
     }
     let receives = |i: &Instance| {
-        let chosen = options.only.is_empty() || options.only.contains(&i.name);
-        i.bake && chosen && !options.exclude.contains(&i.name) && has_material(scene, i, &|m| !m.unlit)
+        let named = |names: &[String]| names.iter().any(|name| fits(name, &i.name));
+        let chosen = options.only.is_empty() || named(&options.only);
+        i.bake && chosen && !named(&options.exclude) && has_material(scene, i, &|m| !m.unlit)
     };
     let mut baked: Vec<bool> = scene.instances.iter().map(receives).collect();
     let shows = |i: &Instance| has_material(scene, i, &Material::shows_diffuse_light);

@@ -164,10 +164,10 @@ pub struct BakeArgs {
     /// 32-bit float instead of half.
     #[arg(long, help_heading = "Maps")]
     pub float: bool,
-    /// Bake these nodes alone; the others still block and reflect.
+    /// Bake these nodes alone; the others still block and reflect. `*` at the end of a name stands for any end.
     #[arg(long, value_delimiter = ',', help_heading = "Maps")]
     only: Vec<String>,
-    /// Do not bake these nodes.
+    /// Do not bake these nodes; names as for --only.
     #[arg(long, value_delimiter = ',', help_heading = "Maps")]
     exclude: Vec<String>,
 

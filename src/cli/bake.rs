@@ -3,6 +3,7 @@
 use super::args::BakeArgs;
 use super::config::Config;
 use super::terminal::Terminal;
+use evenlight::backs::LIT_FROM_BEHIND;
 use evenlight::output::glb::{self, GlbOptions};
 use evenlight::output::lightmap_exr::{self, ExrSettings};
 use evenlight::output::manifest::{Manifest, ManifestInputs};
@@ -51,7 +52,7 @@ pub fn run(args: &BakeArgs, config: Config) -> Result<u8, BakeError> {
     write_maps(&mut staging, &bake, &exr)?;
     write_scene(&mut staging, &scene, &mut bake, &options, args)?;
     if !args.no_preview {
-        write_previews(&mut staging, &scene, &bake)?;
+        write_previews(&mut staging, &scene, &mut bake)?;
     }
     if !args.no_html {
         report_html::write(&staging.file("report.html")?, &bake)?;
@@ -83,7 +84,8 @@ fn is_output(name: &str) -> bool {
         let number = name.strip_prefix(start).and_then(|n| n.strip_suffix(end));
         number.is_some_and(|n| !n.is_empty() && n.bytes().all(|b| b.is_ascii_digit()))
     };
-    numbered("lightmap-", ".exr") || numbered("lightmap-", ".png") || numbered("view-", ".png") || name == "report.html"
+    let pages = numbered("lightmap-", ".exr") || numbered("lightmap-", ".png");
+    pages || numbered("view-", ".png") || numbered("backs-", ".png") || name == "report.html"
 }
 
 fn page_file(page: usize) -> String {
@@ -128,7 +130,7 @@ fn write_scene(
         .write(&staging.file("lightmap.json")?)
 }
 
-fn write_previews(staging: &mut Staging, scene: &Scene, bake: &Bake) -> Result<(), BakeError> {
+fn write_previews(staging: &mut Staging, scene: &Scene, bake: &mut Bake) -> Result<(), BakeError> {
     for (i, page) in bake.lightmap.pages.iter().enumerate() {
         preview::page_image(page).write_png(&staging.file(format!("lightmap-{i}.png"))?)?;
     }
@@ -145,6 +147,15 @@ fn write_previews(staging: &mut Staging, scene: &Scene, bake: &Bake) -> Result<(
         let sky = bake.lighting.sky.as_ref();
         preview::render(&bake.world, &closest, &bake.atlas, &bake.lightmap, camera, sky, &settings)
             .write_png(&staging.file(format!("view-{i}.png"))?)?;
+    }
+    let mut warned: Vec<_> = bake.report.warnings.iter_mut().filter(|w| w.code == LIT_FROM_BEHIND).collect();
+    for (i, warning) in warned.iter_mut().enumerate().take(MOST_VIEWS) {
+        let name = format!("backs-{i}.png");
+        preview::render_backs(&bake.world, &closest, &bake.backs, i, [VIEW_SIZE, VIEW_SIZE * 9 / 16])
+            .write_png(&staging.file(name.as_str())?)?;
+        let node = &scene.instances[bake.backs.nodes[i].instance].name;
+        eprintln!("note: {name} shows where node {node} is lit from behind");
+        warning.message += &format!("; {name} shows where");
     }
     Ok(())
 }

@@ -73,6 +73,11 @@ enum Shape {
 }
 
 impl Punctual {
+    /// Whether it stands somewhere.
+    fn is_lamp(&self) -> bool {
+        !matches!(self.shape, Shape::Directional { .. })
+    }
+
     /// The way from `at` to a point or spot light, its unit direction, and the share of the intensity that goes there
     /// over the distance squared; `None` on the light itself.
     fn towards(&self, at: &Receiver) -> Option<(Vec3, Vec3, f32)> {
@@ -275,23 +280,7 @@ impl Emitters {
         for light in &self.looped {
             self.add_punctual(light, 1.0, at, visibility, || Vec2::new(u(7), u(8)), &mut out, rays);
         }
-        if let Some((seen, weight)) = self.choose(at, visibility, u(0), u(9)) {
-            match seen {
-                Seen::Triangle { id, polygon } => {
-                    let place = Vec2::new(u(1), u(2));
-                    add_triangle(id, &polygon, weight, at, visibility, place, more, &mut out, rays);
-                }
-                Seen::Panel { panel, polygon } => {
-                    let panel = &self.panels[panel as usize];
-                    let place = Vec2::new(u(1), u(2));
-                    add_panel(panel, &polygon, weight, at, visibility, place, more, &mut out, rays);
-                }
-                Seen::Punctual { light } => {
-                    let light = &self.punctual[light as usize];
-                    self.add_punctual(light, weight, at, visibility, || Vec2::ZERO, &mut out, rays);
-                }
-            }
-        }
+        self.add_chosen(at, visibility, &u, more, &mut out, rays);
         match &self.sky {
             None => {}
             Some(sky @ SkySampler::Constant(_)) => {
@@ -307,6 +296,55 @@ impl Emitters {
             }
         }
         out
+    }
+
+    /// Whether anything but suns and the sky shines.
+    pub fn has_lamps(&self) -> bool {
+        !self.tree_lights.is_empty() || self.looped.iter().any(Punctual::is_lamp)
+    }
+
+    /// [`sample`](Self::sample) of what is no sun and no sky: irradiance (lux) on the geometric normal.
+    pub fn lamps(
+        &self,
+        at: &Receiver,
+        visibility: &Visibility,
+        u: impl Fn(usize) -> f32,
+        more: &mut Stream,
+        rays: &mut u64,
+    ) -> Vec3 {
+        let mut out = DirectSample::default();
+        for light in self.looped.iter().filter(|l| l.is_lamp()) {
+            self.add_punctual(light, 1.0, at, visibility, || Vec2::ZERO, &mut out, rays);
+        }
+        self.add_chosen(at, visibility, &u, more, &mut out, rays);
+        out.transported
+    }
+
+    /// One light of the tree.
+    fn add_chosen(
+        &self,
+        at: &Receiver,
+        visibility: &Visibility,
+        u: &impl Fn(usize) -> f32,
+        more: &mut Stream,
+        out: &mut DirectSample,
+        rays: &mut u64,
+    ) {
+        match self.choose(at, visibility, u(0), u(9)) {
+            None => {}
+            Some((Seen::Triangle { id, polygon }, weight)) => {
+                let place = Vec2::new(u(1), u(2));
+                add_triangle(id, &polygon, weight, at, visibility, place, more, out, rays);
+            }
+            Some((Seen::Panel { panel, polygon }, weight)) => {
+                let (panel, place) = (&self.panels[panel as usize], Vec2::new(u(1), u(2)));
+                add_panel(panel, &polygon, weight, at, visibility, place, more, out, rays);
+            }
+            Some((Seen::Punctual { light }, weight)) => {
+                let light = &self.punctual[light as usize];
+                self.add_punctual(light, weight, at, visibility, || Vec2::ZERO, out, rays);
+            }
+        }
     }
 
     /// A light of the tree and the factor on what it sends: one over the probability of its choice, on average.

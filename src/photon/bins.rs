@@ -50,6 +50,7 @@ pub struct Bins<'t> {
     /// The same for light that came over mirrors and through glass alone, of all texels, on the map or not; empty where
     /// nothing is specular.
     caustics: [Vec<[AtomicI64; 3]>; 2],
+    /// Flux over the three channels that the back of each triangle took up.
     backs: Vec<AtomicI64>,
 }
 
@@ -63,11 +64,11 @@ impl<'t> Bins<'t> {
         let empty = |count: usize| (0..count).map(|_| Default::default()).collect();
         let all = if world.is_specular() { texels.texels.len() } else { 0 };
         let caustics = [empty(all), empty(all)];
-        let backs = world.scene.instances.iter().map(|_| AtomicI64::new(0)).collect();
+        let backs = (0..world.len()).map(|_| AtomicI64::new(0)).collect();
         Bins { texels, world, open, halves: [empty(texels.mapped), empty(texels.mapped)], caustics, backs }
     }
 
-    /// Flux over the three channels that each instance's backs took up.
+    /// Flux over the three channels that the back of each triangle took up.
     pub fn back_flux(&self) -> Vec<i64> {
         self.backs.iter().map(|b| b.load(Relaxed)).collect()
     }
@@ -107,8 +108,7 @@ fn sum_of(bin: &[AtomicI64; 3]) -> [i64; 3] {
 impl DepositSink for Bins<'_> {
     fn take(&self, half: usize, trail: &Trail) {
         for &(triangle, flux) in &trail.backs {
-            let instance = self.world.refs[triangle as usize].instance;
-            self.backs[instance as usize].fetch_add(flux as i64, Relaxed);
+            self.backs[triangle as usize].fetch_add(flux as i64, Relaxed);
         }
         for d in &trail.deposits {
             let bins = if d.caustic { &self.caustics[half] } else { &self.halves[half] };

@@ -60,6 +60,11 @@ impl Texture {
         self.image.get_or_init(|| decode(&self.encoded)).as_ref()
     }
 
+    /// Whether anybody looked at it yet.
+    pub fn is_decoded(&self) -> bool {
+        self.image.get().is_some()
+    }
+
     /// Why the image could not be decoded, if it was looked at.
     pub fn known_decode_error(&self) -> Option<&str> {
         self.image.get()?.as_ref().err().map(String::as_str)

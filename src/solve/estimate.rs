@@ -130,7 +130,10 @@ impl Solver<'_, '_> {
             }
         });
         let missed = missed.collect();
+        // Flux of an integer step, of all photons of both halves.
+        let step = 0.5 * self.diffuse.scale().step;
         Ok(Solution {
+            unsmoothed: self.unsmoothed(&caught, caustic.as_ref()),
             total,
             indirect,
             caustics,
@@ -163,7 +166,8 @@ impl Solver<'_, '_> {
             gather_rays: self.gather_rays,
             gathered_meshes: (0..instances).filter(|&i| self.has_gathered(i)).count(),
             ledger: self.diffuse.ledger,
-            back_flux: self.bins.back_flux(),
+            reflected: self.diffuse.ledger.emitted.iter().sum::<i128>() as f64 * step,
+            back_flux: self.bins.back_flux().into_iter().map(|flux| flux as f64 * step).collect(),
             unit: self.diffuse.flux.map_or(0.0, |f| f.unit),
             seconds: self.seconds,
         })

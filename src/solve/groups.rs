@@ -97,8 +97,6 @@ impl Solution {
         let mut ledger = EnergyLedger::default();
         ledger += &self.ledger.in_steps(self.unit, unit);
         ledger += &other.ledger.in_steps(other.unit, unit);
-        let in_unit = |s: &Solution| if s.unit > 0.0 { (s.unit / unit) as i64 } else { 1 };
-        let flux = [in_unit(&self), in_unit(&other)];
         let brighter = other.error.mean > self.error.mean;
         let light = [self.error.mean, other.error.mean];
         self.energy_change =
@@ -106,6 +104,7 @@ impl Solution {
         self.error = self.error.plus(&other.error);
         self.total = self.total.plus(&other.total);
         self.indirect = self.indirect.plus(&other.indirect);
+        self.unsmoothed = self.unsmoothed.plus(&other.unsmoothed);
         self.caustics = match (self.caustics, other.caustics) {
             (Some(a), Some(b)) => {
                 Some(Caustics { stored: a.stored.plus(&b.stored), everywhere: a.everywhere.plus(&b.everywhere) })
@@ -127,7 +126,8 @@ impl Solution {
         self.caustic_rays += other.caustic_rays;
         self.gather_rays += other.gather_rays;
         self.gathered_meshes += other.gathered_meshes;
-        self.back_flux = self.back_flux.iter().zip(&other.back_flux).map(|(a, b)| a * flux[0] + b * flux[1]).collect();
+        self.reflected += other.reflected;
+        self.back_flux.iter_mut().zip(&other.back_flux).for_each(|(sum, flux)| *sum += flux);
         (self.ledger, self.unit) = (ledger, unit);
         self.seconds = self.seconds.plus(&other.seconds);
         self

@@ -119,6 +119,22 @@ impl Solver<'_, '_> {
         })
     }
 
+    /// What `total` was before any of it was smoothed: unbiased, and noisier.
+    pub(super) fn unsmoothed(&self, caught: &[Caught; 2], caustic: Option<&Smooth>) -> Halves {
+        let elements = &self.path.surface.tree.elements;
+        let values = [0, 1].map(|h| {
+            let of = |(k, e): (usize, &Element)| {
+                let gathers = self.has_gathered(self.weights.instance[e.texel as usize] as usize);
+                let photons = Vec3::from(caught[h].flux[k]) / e.area;
+                let found = if gathers { self.kept[&e.texel][h].light } else { photons };
+                found + caustic.map_or(Vec3::ZERO, |c| Vec3::from(c.caught[h].flux[k]) / e.area)
+            };
+            elements.par_iter().enumerate().map(of).collect()
+        });
+        let indirect = Reconstruction { values, ..Reconstruction::default() };
+        self.direct_halves(false).plus(&self.texel_halves(&indirect))
+    }
+
     /// Irradiance of the elements from what they caught.
     pub(super) fn reconstruct(&self, caught: &[Caught; 2]) -> Reconstruction {
         let LightPath { surface: Surface { tree, .. }, visibility, .. } = self.path;

@@ -120,6 +120,8 @@ impl std::ops::Add for Squares {
 pub struct Solution {
     /// Irradiance (lux) of each texel of the map.
     pub total: Halves,
+    /// The same before smoothing: without its bias, and noisier.
+    pub unsmoothed: Halves,
     /// Of it reflected light.
     pub indirect: Halves,
     /// Of that what came straight from lamps over mirrors and through glass; `None` where nothing did.
@@ -175,8 +177,10 @@ pub struct Solution {
     pub gathered_meshes: usize,
     /// Where the photons' flux went.
     pub ledger: EnergyLedger,
-    /// Flux over the three channels that met the backs of each instance's one-sided surfaces.
-    pub back_flux: Vec<i64>,
+    /// Reflected flux, sum of the channels [lux x frame units squared], ...
+    pub reflected: f64,
+    /// ... and what of it met the back of each triangle of one-sided surface.
+    pub back_flux: Vec<f64>,
     /// Flux of one integer step [lux x frame units squared].
     pub unit: f64,
     /// How long it took.

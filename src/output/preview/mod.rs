@@ -3,10 +3,12 @@
 //! In: a finished lightmap, and for scene pictures the world and a way to trace rays. Out: 8-bit sRGB images.
 //! Nothing is computed anew: a scene picture shows what the maps hold, seams, noise and all.
 
+mod backs;
 mod camera;
 mod render;
 mod tone;
 
+pub use backs::render_backs;
 pub use camera::choose_camera;
 pub use render::{RenderSettings, render};
 

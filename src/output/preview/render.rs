@@ -176,7 +176,7 @@ fn mean_irradiance(lightmap: &Lightmap) -> Vec3 {
 }
 
 /// Turns points of the image into rays of the frame.
-struct CameraRays {
+pub(super) struct CameraRays {
     origin: Vec3,
     forward: Vec3,
     right: Vec3,
@@ -185,7 +185,7 @@ struct CameraRays {
 }
 
 impl CameraRays {
-    fn new(world: &World, camera: &Camera, aspect: f32) -> CameraRays {
+    pub(super) fn new(world: &World, camera: &Camera, aspect: f32) -> CameraRays {
         let forward = camera.forward.normalize_or(Vec3::NEG_Z);
         let right = forward.cross(camera.up).try_normalize().unwrap_or_else(|| forward.any_orthonormal_vector());
         let up = right.cross(forward);
@@ -212,7 +212,7 @@ impl CameraRays {
     }
 
     /// Ray through a point of the image, (-1, -1) at its top left.
-    fn ray(&self, at: Vec2) -> Ray {
+    pub(super) fn ray(&self, at: Vec2) -> Ray {
         let aside = self.right * at.x - self.up * at.y;
         let (origin, direction) = match self.parallel {
             true => (self.origin + aside, self.forward),

@@ -169,9 +169,13 @@ impl Grid {
     fn uri(&self, colours: impl Iterator<Item = [u8; 3]>) -> Result<String, BakeError> {
         let image = RgbImage { width: self.width, height: self.height, rgb: colours.flatten().collect() };
         let png = image.to_filtered_png(FilterType::NoFilter)?;
-        let png = base64::engine::general_purpose::STANDARD.encode(png);
-        Ok(format!("data:image/png;base64,{png}"))
+        Ok(data_uri(&png))
     }
+}
+
+/// A PNG file as an address that holds it.
+pub(super) fn data_uri(png: &[u8]) -> String {
+    format!("data:image/png;base64,{}", base64::engine::general_purpose::STANDARD.encode(png))
 }
 
 /// Colour of each pixel's cell, per page; empty where no cells are made.

@@ -7,13 +7,16 @@
 mod graph;
 mod maps;
 
+use super::preview::render_backs;
 use super::words::{audit, bytes, count, escape, figures, group, seconds};
 use super::write_atomically;
-use crate::accuracy::MeshError;
+use crate::accel::Ray;
+use crate::accuracy::{Illuminance, MeshError};
+use crate::backs::LitNode;
 use crate::bake::Bake;
 use crate::error::BakeError;
 use crate::report::{GroupReport, Report, Seconds};
-use maps::{ERROR_RANGE, Maps, PageMaps, density_gradient, error_gradient, maps};
+use maps::{ERROR_RANGE, Maps, PageMaps, data_uri, density_gradient, error_gradient, maps};
 use std::path::Path;
 
 /// Meshes with a line of their own, at most.
@@ -21,6 +24,10 @@ const MOST_MESHES: usize = 200;
 
 /// Warnings that are listed, at most.
 const MOST_WARNINGS: usize = 100;
+
+/// Pictures of nodes that are lit from behind, at most, and their size (pixels).
+const MOST_BACKS: usize = 4;
+const BACKS_SIZE: [u32; 2] = [480, 270];
 
 /// Characters of a name and of a sentence, at most.
 const NAME: usize = 80;
@@ -49,6 +56,7 @@ pub fn html(bake: &Bake) -> Result<String, BakeError> {
         split(report),
         meshes(report),
         warnings(report),
+        backs(bake)?,
         stages(&report.seconds),
     ];
     Ok(format!(
@@ -242,7 +250,10 @@ fn meshes(r: &Report) -> String {
             row(&[
                 format!("<bdi>{}</bdi>", escape(&m.name, NAME)),
                 count(m.texels as u64),
-                figures(m.mean),
+                lux(m, |l| Some((l.mean, l.mean_error))),
+                lux(m, |l| Some((l.minimum, l.minimum_error))),
+                lux(m, |l| Some((l.maximum, l.maximum_error))),
+                lux(m, |l| l.uniformity.zip(l.uniformity_error)),
                 figures(m.error_percent),
                 (if met(m) { "<span class=\"good\">yes</span>" } else { "<span class=\"bad\">no</span>" }).into(),
             ])
@@ -259,13 +270,20 @@ fn meshes(r: &Report) -> String {
     });
     format!(
         "<h2>Meshes</h2>\n<p class=\"soft\">{} of {} meet the target of {} %, each relative to the larger of its own \
-         mean and 1 % of the scene's. Worst first.</p>\n\
+         mean and 1 % of the scene's. Worst first. Lux: illuminance with one standard error; least and largest of \
+         patches as wide as the measuring grid of EN 12464-1; U<sub>0</sub> is least over mean.</p>\n\
          <div class=\"wide\"><table class=\"meshes\">\n{}{rows}</table></div>\n{rest}",
         r.meshes.iter().filter(|m| met(m)).count(),
         r.meshes.len(),
         figures(r.target_mesh_percent),
-        head(&["node", "texels", "mean lux", "error %", "met"])
+        head(&["node", "texels", "mean lux", "least lux", "largest lux", "U<sub>0</sub>", "error %", "met"])
     )
+}
+
+/// A figure of a mesh's illuminance with its error.
+fn lux(mesh: &MeshError, of: impl Fn(&Illuminance) -> Option<(f64, f64)>) -> String {
+    let known = mesh.illuminance.as_ref().and_then(of);
+    known.map_or("not known".into(), |(value, error)| format!("{} ± {}", figures(value), figures(error)))
 }
 
 /// What is odd, and what was left out.
@@ -285,6 +303,31 @@ fn warnings(r: &Report) -> String {
     let list: String = items.iter().map(|i| format!("<li>{i}</li>\n")).collect();
     let list = if items.is_empty() { "<p>None.</p>\n".into() } else { format!("<ul>\n{list}</ul>\n") };
     format!("<h2>Warnings, changes and skips</h2>\n{list}")
+}
+
+/// Where light meets backs.
+fn backs(bake: &Bake) -> Result<String, BakeError> {
+    if bake.backs.nodes.is_empty() {
+        return Ok(String::new());
+    }
+    let closest = |ray: &Ray| bake.accel.closest(ray);
+    let picture = |(i, node): (usize, &LitNode)| {
+        let picture = render_backs(&bake.world, &closest, &bake.backs, i, BACKS_SIZE);
+        let uri = data_uri(&picture.to_png()?);
+        let [width, height] = BACKS_SIZE;
+        let name = escape(&bake.world.scene.instances[node.instance].name, NAME);
+        Ok(format!(
+            "<figure><img src=\"{uri}\" width=\"{width}\" height=\"{height}\" alt=\"lit backs\">\
+             <figcaption>{name}</figcaption></figure>\n"
+        ))
+    };
+    let pictures: Vec<String> =
+        bake.backs.nodes.iter().enumerate().take(MOST_BACKS).map(picture).collect::<Result<_, BakeError>>()?;
+    Ok(format!(
+        "<h2>Lit from behind</h2>\n<div class=\"maps\">\n{}</div>\n<p class=\"soft\">Red: backs of one-sided surfaces \
+         that light ends on. Grey: fronts. Blue: other backs.</p>\n",
+        pictures.concat()
+    ))
 }
 
 /// Seconds of the stages, and their share.
