@@ -121,7 +121,8 @@ struct Lamps<'a> {
 }
 
 impl Lamps<'_> {
-    /// Flux on the back of each triangle, and on all fronts and backs [lux x frame units squared, mean of the channels].
+    /// Flux on the back of each triangle where it ends there, and on these and all fronts [lux x frame units squared, mean of
+    /// the channels].
     fn on_backs(&self) -> (Vec<f64>, f64) {
         let world = self.visibility.world;
         let (mut backs, mut all, mut sum) = (vec![0.0; world.len()], 0.0, 0.0);

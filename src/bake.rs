@@ -99,8 +99,7 @@ fn bake_here<'s>(scene: &'s Scene, options: &BakeOptions, observer: &mut dyn Obs
     let path = surface.path(&emitters, &visibility);
     let weights = TexelWeights::of_values(&world, &surface.texels, &surface.open, options.texel_value);
     let apart = |group: &LightGroup| Emitters::new(&world, &lighting, LightSettings { group: Some(group), ..settings });
-    let groups = lighting.groups.iter().map(|group| (group.clone(), apart(group))).collect();
-    let solution = solve_groups(path, groups, weights, options, clock.began, observer)?;
+    let solution = solve_groups(path, &lighting.groups, &apart, weights, options, clock.began, observer)?;
     LightSeconds {
         direct: seconds.direct,
         photons: seconds.photons,
@@ -183,7 +182,10 @@ fn report(
         cell_bias: 0.0,
         cell_bias_resolution: 0.0,
         unseen_error: 0.0,
-        cell_energy_change: 100.0 * solution.energy_change,
+        cell_energy_change: match solution.smoothed {
+            [before, after] if before > 0.0 => 100.0 * (after / before - 1.0),
+            _ => 0.0,
+        },
         texel_error_percent: 0.0,
         texel_error_interval: [0.0; 2],
         luminance_error_percent: 0.0,

@@ -299,6 +299,12 @@ impl BakeOptions {
         if !(self.sky_scale >= 0.0 && self.sky_scale.is_finite() && self.sky_rotation.is_finite()) {
             return fail("--sky-scale must be 0 or more, --sky-rotation a number".into());
         }
+        if self.sky.is_none() && (self.sky_scale != 1.0 || self.sky_rotation != 0.0) {
+            return fail("--sky-scale and --sky-rotation are for a sky of --sky, and there is none".into());
+        }
+        if self.double_sided == DoubleSided::Split && !self.groups.is_empty() {
+            return fail("--double-sided split: the backs have no layers of groups; leave out --group".into());
+        }
         if let Some(SkySource::Constant(l)) = &self.sky
             && !((*l * self.sky_scale).is_finite() && l.min_element() >= 0.0)
         {

@@ -28,8 +28,8 @@ pub struct Report {
     pub target_shown_percent: Option<f64>,
     /// All targets are met.
     pub target_met: bool,
-    /// What ended the bake where a target is not met: `time-limit`, `max-photons`, `samples`, `texels`, or
-    /// `audit` where that of groups of lights together finds what theirs did not.
+    /// What ended the bake where a target is not met: `time-limit`, `max-photons`, `samples`, `texels`, and with groups of
+    /// lights `audit`, where that of all together finds what theirs did not, or `meshes`, where only their sum misses.
     pub limit: Option<&'static str>,
     /// Noise of the stored mean: sqrt( sum a (E_odd - E_even)^2 / (4 sum a) ) over the mean.
     pub sigma: f64,

@@ -107,6 +107,24 @@ fn a_layer_is_a_bake_of_its_lights_alone() {
     assert!(off < stated, "{off} %, stated {stated} %");
 }
 
+/// Lit by lamps on its two sides, a screen stores one side, and the figures of the sum are those of that side.
+#[test]
+fn groups_agree_on_the_side_that_is_stored() {
+    let scene = SceneBuilder::new()
+        .two_sided("screen", [0.5; 3])
+        .quad("screen", [[0.0, 0.0, 0.0], [4.0, 0.0, 0.0], [4.0, 4.0, 0.0], [0.0, 4.0, 0.0]])
+        .point_light("front", [2.0, 2.0, 2.0], [100.0; 3])
+        .point_light("behind", [2.0, 2.0, -2.0], [90.0; 3]);
+    let scene = evenlight::scene::gltf::load_bytes(Path::new("screen.glb"), &scene.glb()).expect("a good scene");
+    let bake = baked(&scene, &options(&[("a", "front"), ("b", "behind")]));
+    let alone = baked(&scene, &options(&[]));
+    let share = bake.report.mean_irradiance / alone.report.mean_irradiance;
+    assert!((share - 1.0).abs() < 0.01, "{share}");
+    let [a, b] = [0, 1].map(|i| bake.report.groups[i].mean_irradiance);
+    assert!(a > 1.0 && b == 0.0, "{a} {b}: the lamp behind does not reach the front");
+    assert_eq!(bake.solution.weights.stored, alone.solution.weights.stored);
+}
+
 /// Of several rules the last holds; `sun` and `sky` are those of the options; what is empty is no group.
 #[test]
 fn every_light_is_in_one_group() {
@@ -132,7 +150,7 @@ fn every_light_is_in_one_group() {
     let refused =
         |groups: &[(&str, &str)]| bake(&scene, &options(groups), &mut NoObserver).expect_err("refused").to_string();
     let said = refused(&[("lamps", "bulbs")]);
-    assert!(said.contains("--group lamps=bulbs") && said.contains("`bulb`, `pendant`, `spot`"), "{said}");
+    assert!(said.contains("--group lamps=bulbs") && said.contains("`bulb`, `pendant`, `spot`, `tube`"), "{said}");
     assert!(refused(&[("day", "sky")]).contains("no light that is baked is called `sky`"));
     assert!(refused(&[("a.b", "bulb")]).contains("letters, digits"));
     assert!(refused(&[("area", "bulb")]).contains("another layer has this name"));

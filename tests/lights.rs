@@ -214,7 +214,7 @@ fn faults_of_surroundings_are_named() {
     let cases = [
         (with(1, b"GIF89a".to_vec()), "images[1] of EXT_lights_image_based.lights[0] 'yard' is neither PNG nor JPEG"),
         (with(2, wide), "images[2] of EXT_lights_image_based.lights[0] 'yard' has 2 x 3 texels"),
-        (with(3, huge), "has 16384 x 16384 texels; a face is square, with 1 to 4096"),
+        (with(3, huge), "has 16384 x 16384 texels; a face is square, with 1 to 2048"),
         (with(4, even(4)), "images[4] of EXT_lights_image_based.lights[0] 'yard' has 4 x 4 texels, but the first"),
         (with(0, [&even(2)[..33], &[0; 9]].concat()), "is damaged"),
         (light(json!({"specularImages": [[0, 1, 2, 3, 4]]})), "no specularImages with six indices"),

@@ -207,9 +207,10 @@ impl At<'_> {
                 number => LightChange { scale: Some(at.number(number)?), ..LightChange::default() },
             };
             let name = name.get_ref();
+            let grouped = group.is_some();
             arguments.extend(group.map(|group| format!("--group={group}={name}").into()));
             // `sun` and `sky`, which are none of the scene's, may have a group and no more.
-            if change != LightChange::default() {
+            if !grouped || change != LightChange::default() {
                 changes.push((name.clone().into_owned(), change));
             }
         }

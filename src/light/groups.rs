@@ -1,7 +1,7 @@
 //! Groups of lights whose light is kept apart, so that each can be dimmed or coloured later without a bake.
 
 use crate::error::BakeError;
-use crate::scene::{BakeMode, Light, Scene, fits};
+use crate::scene::{BakeMode, Light, Scene, fits, listed};
 
 /// The group of all lights that no group is named for.
 const REST: &str = "rest";
@@ -12,8 +12,8 @@ const SKY: &str = "sky";
 /// Most groups: each is solved by itself.
 const MOST_GROUPS: usize = 16;
 
-/// Longest name (bytes).
-const LONGEST_NAME: usize = 64;
+/// Longest name (bytes): with `.R` it is one of OpenEXR's short names.
+const LONGEST_NAME: usize = 29;
 
 /// Lights that are solved together. Every light is in one group.
 #[derive(Debug, Clone, PartialEq)]
@@ -68,10 +68,10 @@ impl LightGroup {
             .collect();
         for (group, pattern) in rules {
             if !lit.iter().any(|source| source.fits(pattern)) {
-                let sky = if has_sky { ", and `sky`" } else { "" };
+                let names = listed(lit.iter().flat_map(|source| [Some(source.name), source.node]).flatten());
+                let there = if lit.is_empty() { "there is none".into() } else { format!("there are {names}") };
                 return Err(BakeError::Options(format!(
-                    "--group {group}={pattern}: no light that is baked is called `{pattern}`; {}{sky}",
-                    scene.light_names()
+                    "--group {group}={pattern}: no light that is baked is called `{pattern}`; {there}"
                 )));
             }
         }
@@ -145,7 +145,7 @@ mod tests {
         for name in ["lamps", "Sun-1", "key_light"] {
             assert!(check_name(name).is_ok(), "{name}");
         }
-        for name in ["", "a.b", "a b", "back", "rest", "caf\u{e9}", &"x".repeat(65)] {
+        for name in ["", "a.b", "a b", "back", "rest", "caf\u{e9}", &"x".repeat(30)] {
             assert!(check_name(name).unwrap_err().to_string().contains("--group"), "{name}");
         }
     }

@@ -1,8 +1,8 @@
 //! One lightmap page as an OpenEXR file.
 //!
 //! In: a [`LightmapPage`] in lux. Out: a single-part scan line file with ZIP16 compression, channels `R G B`
-//! plus one layer `group.R` for each group of lights that is kept apart, and the extra layers asked for as `layer.R` (or plain `layer` where a layer has one channel), row 0 at
-//! v = 0 as glTF and OpenEXR both have it. The header says what the numbers are, so that a file without its
+//! plus one layer `group.R` for each group of lights that is kept apart, and the extra layers asked for as `layer.R` (or
+//! plain `layer` where a layer has one channel), row 0 at v = 0 as glTF and OpenEXR both have it. The header says what the numbers are, so that a file without its
 //! manifest can still be used right. Equal pages give equal bytes.
 
 use super::write_atomically;

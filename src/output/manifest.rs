@@ -44,12 +44,13 @@ pub struct Manifest {
     pub lights: Vec<ManifestLight>,
     /// The light of the sky is in the maps.
     pub sky_baked: bool,
-    /// Groups of lights that have layers of their own in the maps, `name.R`, `name.G` and `name.B`; the main layer is their
-    /// sum.
-    pub groups: Vec<ManifestGroup>,
     /// And it is that of the scene file (EXT_lights_image_based or extras), not one given to the bake.
     #[serde(default)]
     pub sky_of_scene: bool,
+    /// Groups of lights that have layers of their own in the maps, `name.R`, `name.G` and `name.B`; the main layer is
+    /// their sum.
+    #[serde(default)]
+    pub groups: Vec<ManifestGroup>,
     /// What the numbers mean, in words.
     pub conventions: Conventions,
 }

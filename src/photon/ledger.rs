@@ -33,7 +33,7 @@ impl EnergyLedger {
     /// The same in steps of the flux `to`, where it was in steps of `from`: both powers of two, `to` the smaller.
     pub fn in_steps(&self, from: f64, to: f64) -> EnergyLedger {
         let factor = if from > 0.0 && to > 0.0 { (from / to).round() as i128 } else { 1 };
-        let times = |flux: [i128; 3]| flux.map(|f| f * factor);
+        let times = |flux: [i128; 3]| flux.map(|f| f.saturating_mul(factor));
         EnergyLedger {
             emitted: times(self.emitted),
             roulette: times(self.roulette),

@@ -205,8 +205,7 @@ impl Scene {
         self.source.json.get("nodes")?.get(light.node?)?.get("name")?.as_str()
     }
 
-    /// The names that lights go by, in words.
-    pub(crate) fn light_names(&self) -> String {
+    fn light_names(&self) -> String {
         let lights = self.lights.iter().flat_map(|l| [Some(l.name.as_str()), self.node_name(l)]).flatten();
         let lamps = self.emissive_materials();
         let materials = lamps.iter().map(|&i| self.materials[i].name.as_str());
@@ -257,7 +256,7 @@ fn hue(color: Vec3) -> Vec3 {
 }
 
 /// Names in quotes, each once; of many the first.
-fn listed<'n>(names: impl Iterator<Item = &'n str>) -> String {
+pub(crate) fn listed<'n>(names: impl Iterator<Item = &'n str>) -> String {
     const MOST: usize = 30;
     let names: BTreeSet<&str> = names.collect();
     let shown: Vec<String> = names.iter().take(MOST).map(|n| format!("`{n}`")).collect();

@@ -22,8 +22,8 @@ mod specular;
 mod texture;
 mod world;
 
-pub(crate) use change::fits;
 pub use change::{Changes, LightChange, NodeChange};
+pub(crate) use change::{fits, listed};
 pub use clear_sky::ClearSky;
 pub use cube_map::CubeMap;
 pub use light::{AreaShape, BakeMode, Camera, Light, LightKind, Projection};

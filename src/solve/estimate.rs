@@ -149,7 +149,7 @@ impl Solver<'_, '_> {
             } else {
                 scattered(&tree.elements, &found.cell_of, open.len(), NO_CELL)
             },
-            energy_change: smoothed.energy_change(tree),
+            smoothed: smoothed.energy(tree),
             squares,
             by_photons,
             missed,

@@ -6,11 +6,11 @@
 use super::audit::audit;
 use super::estimate::stored_weights;
 use super::{LightPath, Solution, solve};
-use crate::accuracy::{Audit, Caustics, TexelError, TexelWeights, mesh_errors};
+use crate::accuracy::{Audit, Caustics, Halves, TexelError, TexelWeights, mesh_errors};
 use crate::error::BakeError;
 use crate::light::{Emitters, LightGroup};
 use crate::observer::{Observer, Stage};
-use crate::options::BakeOptions;
+use crate::options::{Audits, BakeOptions, DoubleSided};
 use crate::photon::EnergyLedger;
 use crate::report::{HistoryEntry, RoundSeconds, percentile_95};
 use crate::sampling::hash_mix;
@@ -46,27 +46,35 @@ pub struct GroupSolution {
 /// [`BakeError::Cancelled`] when the observer says so.
 pub fn solve_groups(
     path: LightPath,
-    groups: Vec<(LightGroup, Emitters)>,
+    groups: &[LightGroup],
+    emitters: &dyn Fn(&LightGroup) -> Emitters,
     weights: TexelWeights,
     options: &BakeOptions,
     began: Instant,
     observer: &mut dyn Observer,
 ) -> Result<Solution, BakeError> {
+    if groups.is_empty() {
+        return solve(path, weights, options, began, observer);
+    }
+    let weights = sides(path, weights, options, began, observer)?;
     let count = groups.len();
     let mut sum: Option<Solution> = None;
-    for (k, (group, emitters)) in groups.into_iter().enumerate() {
+    for (k, group) in groups.iter().enumerate() {
         observer.group(&group.name, k + 1, count);
         let gone = began.elapsed().as_secs_f64();
         let own = BakeOptions {
             seed: hash_mix(hash_mix(options.seed, GROUP), k as u64),
             time_limit: options.time_limit.map(|limit| gone + (limit - gone).max(0.0) / (count - k) as f64),
             max_photons: options.max_photons.map(|most| most / count as u64),
+            // Which sides are stored is known: all that is left counts.
+            double_sided: DoubleSided::Split,
             ..options.clone()
         };
+        let emitters = emitters(group);
         let lit = LightPath { emitters: &emitters, ..path };
         let part = solve(lit, weights.clone(), &own, began, observer)?;
         let solved = GroupSolution {
-            group,
+            group: group.clone(),
             light: (0..weights.weight.len()).map(|i| part.total.mean(i)).collect(),
             error: part.error,
             mesh_percent: part.mesh_percent,
@@ -83,8 +91,34 @@ pub fn solve_groups(
     }
     match sum {
         None => solve(path, weights, options, began, observer),
-        Some(sum) => sum.whole(path, &weights, options, began, observer),
+        Some(sum) => sum.whole(path, weights, options, began, observer),
     }
+}
+
+/// `weights` without the sides that are not stored. Where light decides, a look by all lights tells which these are: each
+/// group by itself might choose others.
+fn sides(
+    path: LightPath,
+    weights: TexelWeights,
+    options: &BakeOptions,
+    began: Instant,
+    observer: &mut dyn Observer,
+) -> Result<TexelWeights, BakeError> {
+    let texels = &path.surface.texels;
+    let has_backs = texels.texels[..texels.mapped].iter().any(|t| t.back);
+    if options.double_sided == DoubleSided::Front {
+        return Ok(stored_weights(path.surface, &weights, options.double_sided, &Halves::default()));
+    }
+    if options.double_sided == DoubleSided::Split || !has_backs {
+        return Ok(weights);
+    }
+    let one_round = BakeOptions {
+        target_percent: f64::MAX,
+        target_mesh_percent: Some(f64::MAX),
+        audit: Audits::Off,
+        ..options.clone()
+    };
+    Ok(solve(path, weights, &one_round, began, observer)?.weights)
 }
 
 impl Solution {
@@ -97,10 +131,11 @@ impl Solution {
         let mut ledger = EnergyLedger::default();
         ledger += &self.ledger.in_steps(self.unit, unit);
         ledger += &other.ledger.in_steps(other.unit, unit);
-        let brighter = other.error.mean > self.error.mean;
-        let light = [self.error.mean, other.error.mean];
-        self.energy_change =
-            (self.energy_change * light[0] + other.energy_change * light[1]) / (light[0] + light[1]).max(1e-300);
+        let brightest = self.groups.iter().map(|g| g.error.mean).fold(0.0, f64::max);
+        if other.error.mean > brightest {
+            self.cell_of = other.cell_of;
+        }
+        (0..2).for_each(|k| self.smoothed[k] += other.smoothed[k]);
         self.error = self.error.plus(&other.error);
         self.total = self.total.plus(&other.total);
         self.indirect = self.indirect.plus(&other.indirect);
@@ -113,9 +148,6 @@ impl Solution {
         };
         self.biases = self.biases.iter().zip(&other.biases).map(|(a, b)| a.plus_alike(b)).collect();
         (0..2).for_each(|h| self.cells[h] += other.cells[h]);
-        if brighter {
-            self.cell_of = other.cell_of;
-        }
         self.squares = self.squares + other.squares;
         self.by_photons += other.by_photons;
         self.limit = self.limit.or(other.limit);
@@ -125,7 +157,8 @@ impl Solution {
         self.caustic_photons += other.caustic_photons;
         self.caustic_rays += other.caustic_rays;
         self.gather_rays += other.gather_rays;
-        self.gathered_meshes += other.gathered_meshes;
+        // Nodes that gather the light of one group gather that of others as a rule.
+        self.gathered_meshes = self.gathered_meshes.max(other.gathered_meshes);
         self.reflected += other.reflected;
         self.back_flux.iter_mut().zip(&other.back_flux).for_each(|(sum, flux)| *sum += flux);
         (self.ledger, self.unit) = (ledger, unit);
@@ -137,12 +170,12 @@ impl Solution {
     fn whole(
         mut self,
         path: LightPath,
-        weights: &TexelWeights,
+        weights: TexelWeights,
         options: &BakeOptions,
         began: Instant,
         observer: &mut dyn Observer,
     ) -> Result<Solution, BakeError> {
-        self.weights = stored_weights(path.surface, weights, options.double_sided, &self.total);
+        self.weights = weights;
         let (world, target) = (path.visibility.world, options.target_percent);
         (self.meshes, self.area_within_target) =
             mesh_errors(world, &self.total, &self.weights, &self.biases, self.error.mean, target);
@@ -157,6 +190,10 @@ impl Solution {
             if self.error.high > target {
                 self.limit = self.limit.or(Some("audit"));
             }
+        }
+        // Each group may have spared other meshes.
+        if self.mesh_percent > options.mesh_target() {
+            self.limit = self.limit.or(Some("meshes"));
         }
         self.seconds.audit += started.elapsed().as_secs_f64();
         self.history = vec![HistoryEntry {

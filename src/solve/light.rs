@@ -188,15 +188,14 @@ impl Smoothed {
         Compared { tree, caught: [&self.caught[0], &self.caught[1]], values: [&self.values[0], &self.values[1]] }
     }
 
-    /// What smoothing adds to or takes from the light that was caught, as a share of it.
-    pub(super) fn energy_change(&self, tree: &SurfaceTree) -> f64 {
+    /// Flux before and after, sum of both halves and the channels [lux x frame units squared].
+    pub(super) fn energy(&self, tree: &SurfaceTree) -> [f64; 2] {
         let flux = |values: &Vec<Vec3>| -> f64 {
             let of = |(e, v): (&Element, &Vec3)| f64::from(e.area) * f64::from(v.element_sum());
             tree.elements.iter().zip(values).map(of).sum()
         };
-        let kept: f64 = self.values.iter().map(flux).sum();
-        let all: f64 = self.caught.iter().flatten().flatten().map(|&f| f64::from(f)).sum();
-        if all > 0.0 { kept / all - 1.0 } else { 0.0 }
+        let before = self.caught.iter().flatten().flatten().map(|&f| f64::from(f)).sum();
+        [before, self.values.iter().map(flux).sum()]
     }
 }
 

@@ -140,8 +140,9 @@ pub struct Solution {
     pub area_within_target: f64,
     /// Cells of each half.
     pub cells: [usize; 2],
-    /// What the cells' planes add to or take from the light that was caught, as a share of it.
-    pub energy_change: f64,
+    /// Flux of all light that is smoothed, sum of both halves and the channels, as it was caught and as the cells' planes
+    /// have it [lux x frame units squared].
+    pub smoothed: [f64; 2],
     /// Squared errors by what lowers them.
     squares: Squares,
     /// Squared error of the indirect light that is not gathered.

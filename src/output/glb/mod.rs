@@ -29,8 +29,8 @@ use std::path::Path;
 /// How the scene is written.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
 pub struct GlbOptions {
-    /// Nodes whose light (KHR_lights_punctual, EXT_lights_ies, EXT_lights_area) is in the maps and goes from the scene, so that no engine lights
-    /// twice; see [`fully_baked_lights`]. Default: none.
+    /// Nodes whose light (KHR_lights_punctual, EXT_lights_ies, EXT_lights_area) is in the maps and goes from the scene, so
+    /// that no engine lights twice; see [`fully_baked_lights`]. Default: none.
     pub remove_baked_lights: Vec<usize>,
     /// The surroundings of the scene (EXT_lights_image_based) are in the maps and go likewise. Default: false.
     pub remove_baked_sky: bool,

@@ -6,7 +6,7 @@ use crate::error::Warning;
 use crate::options::Lights;
 use crate::output::NodeRect;
 use crate::scene::gltf::{drop_extension, take_extension};
-use crate::scene::{BakeMode, Scene};
+use crate::scene::{BakeMode, Light, Scene};
 use serde_json::{Value, json};
 
 /// Extensions that give a node a light.
@@ -15,8 +15,11 @@ const LIGHTS: [&str; 3] = ["KHR_lights_punctual", "EXT_lights_ies", "EXT_lights_
 /// Nodes of the lights whose direct and reflected light is all in the maps, in ascending order: what
 /// [`GlbOptions::remove_baked_lights`](super::GlbOptions::remove_baked_lights) wants to know.
 pub fn fully_baked_lights(scene: &Scene, lights: Lights) -> Vec<usize> {
-    let full = scene.lights.iter().filter(|light| lights == Lights::All && light.bake == BakeMode::Full);
-    let mut nodes: Vec<usize> = full.filter_map(|light| light.node).collect();
+    let full = |light: &&Light| lights == Lights::All && light.bake == BakeMode::Full;
+    // A node may have several lights, which go together or stay.
+    let stays = |node: &usize| scene.lights.iter().any(|light| light.node == Some(*node) && !full(&light));
+    let baked = scene.lights.iter().filter(full).filter_map(|light| light.node);
+    let mut nodes: Vec<usize> = baked.filter(|node| !stays(node)).collect();
     nodes.sort_unstable();
     nodes.dedup();
     nodes

@@ -78,8 +78,10 @@ pub(super) fn read(
     };
     let radiance = Vec3::from(raw.color) * raw.intensity;
     let pointing = direction(&world_from_node, DVec3::NEG_Z);
-    let flat = least.is_nan() || least <= 0.0 || !(size * raw.rect.aspect.max(1.0)).is_finite();
-    let (Some(direction), false) = (pointing, flat || !radiance.is_finite() || !world_from_node.is_finite()) else {
+    let flat = least.is_nan() || least <= 0.0 || !((size * raw.rect.aspect.max(1.0)) as f32).is_finite();
+    let (Some(direction), false) =
+        (pointing, flat || !radiance.is_finite() || !world_from_node.translation.as_vec3().is_finite())
+    else {
         reader.warn("odd-light", format!("{label} has no finite strength, place, size or direction and is left out"));
         return Ok(None);
     };

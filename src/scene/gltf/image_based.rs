@@ -24,7 +24,7 @@ use std::io::Cursor;
 pub(super) const SURROUNDINGS: &str = "EXT_lights_image_based.lights";
 
 /// Most texels along an edge of a face: six faces then have the texels of 100 million.
-const MAX_SIZE: u32 = 4096;
+const MAX_SIZE: u32 = 2048;
 
 /// Value of the spherical harmonic of degree 0.
 const Y_00: f32 = 0.282_094_8;

@@ -52,7 +52,8 @@ impl<'d> Reader<'d> {
     }
 
     /// The top-level array `list`, empty where the file has none. `lights` are those of KHR_lights_punctual,
-    /// [`PROFILES`] those of EXT_lights_ies, [`SURROUNDINGS`] those of EXT_lights_image_based, [`PANELS`] those of EXT_lights_area.
+    /// [`PROFILES`] those of EXT_lights_ies, [`SURROUNDINGS`] those of EXT_lights_image_based,
+    /// [`PANELS`] those of EXT_lights_area.
     pub(super) fn list(&self, list: &str) -> Result<&'d [Value], SceneError> {
         let found = match list {
             "lights" => self.document.json.pointer("/extensions/KHR_lights_punctual/lights"),
