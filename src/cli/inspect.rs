@@ -6,6 +6,9 @@ use evenlight::scene::{AreaShape, IesProfile, Light, LightKind, Scene, Sky, Surf
 use serde::Serialize;
 use std::fmt::{self, Write};
 
+/// Triangles among which surfaces in one plane are looked for, at most: of 7.7 million it takes more than 2 GB.
+const MOST_COMPARED: usize = 2_000_000;
+
 /// What a scene holds. Lengths in metres, areas in square metres, colours linear Rec. 709.
 #[derive(Debug, Serialize)]
 pub struct Inspection {
@@ -173,9 +176,17 @@ pub fn inspect(scene: &Scene) -> Inspection {
     };
     let found = judge(&inspection, scene, &material_areas);
     inspection.warnings.extend(found);
-    // Last, for it moves what was measured.
-    let parted = part_coincident(&mut world);
-    inspection.warnings.extend(coincident_warning(&world, &parted));
+    if world.len() > MOST_COMPARED {
+        let what = format!(
+            "of {} triangles, those that lie in the plane of others are looked for by a bake alone: it takes memory",
+            world.len()
+        );
+        inspection.warnings.push(Warning::new("coincident-not-looked-for", what));
+    } else {
+        // Last, for it moves what was measured.
+        let parted = part_coincident(&mut world);
+        inspection.warnings.extend(coincident_warning(&world, &parted));
+    }
     inspection
 }
 
