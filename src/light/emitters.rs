@@ -56,11 +56,8 @@ struct Punctual {
 #[derive(Debug, Clone)]
 enum Shape {
     Point,
-    /// Falloff of a profile, in the frame whose axes are the rows.
-    Profile {
-        profile: Arc<IesProfile>,
-        light_from_world: Mat3,
-    },
+    /// Falloff of a profile. Elsewhere, since most lights have none, and all are looked at again and again.
+    Profile(Box<PlacedProfile>),
     /// Spot falloff ((cos - cos_outer) * scale)^2, clamped.
     Spot {
         cos_outer: f32,
@@ -72,6 +69,20 @@ enum Shape {
     },
 }
 
+/// A profile in the frame whose axes are the rows.
+#[derive(Debug, Clone)]
+struct PlacedProfile {
+    profile: Arc<IesProfile>,
+    light_from_world: Mat3,
+}
+
+impl PlacedProfile {
+    #[inline(never)]
+    fn share(&self, towards: Vec3) -> f32 {
+        self.profile.share(self.light_from_world * towards)
+    }
+}
+
 impl Punctual {
     /// Whether it stands somewhere.
     fn is_lamp(&self) -> bool {
@@ -80,6 +91,7 @@ impl Punctual {
 
     /// The way from `at` to a point or spot light, its unit direction, and the share of the intensity that goes there
     /// over the distance squared; `None` on the light itself.
+    #[inline]
     fn towards(&self, at: &Receiver) -> Option<(Vec3, Vec3, f32)> {
         let to = self.position - at.origin;
         let d2 = to.length_squared();
@@ -92,7 +104,7 @@ impl Punctual {
                 let f = ((self.direction.dot(-w) - cos_outer) * scale).clamp(0.0, 1.0);
                 f * f
             }
-            Shape::Profile { profile, light_from_world } => profile.share(*light_from_world * -w),
+            Shape::Profile(placed) => placed.share(-w),
             Shape::Point | Shape::Directional { .. } => 1.0,
         };
         Some((to, w, cone / d2))
@@ -425,7 +437,7 @@ impl Emitters {
                 let w = if *cos_radius < 1.0 { uniform_cone(axis, *cos_radius, u()) } else { axis };
                 (w, f32::INFINITY, w, 1.0)
             }
-            Shape::Point | Shape::Profile { .. } | Shape::Spot { .. } => {
+            Shape::Point | Shape::Profile(_) | Shape::Spot { .. } => {
                 let Some((to, w, falloff)) = light.towards(at) else { return };
                 (to, HAIR_BEFORE, w, falloff)
             }
@@ -596,7 +608,8 @@ fn to_frame(light: &Light, world: &World, settings: LightSettings) -> Option<Pun
             None => (Shape::Point, 1.0 / (m * m)),
             Some(profile) => {
                 let light_from_world = light.axes.transpose();
-                (Shape::Profile { profile: profile.clone(), light_from_world }, 1.0 / (m * m))
+                let placed = PlacedProfile { profile: profile.clone(), light_from_world };
+                (Shape::Profile(Box::new(placed)), 1.0 / (m * m))
             }
         },
         LightKind::Spot { inner, outer } => {
@@ -630,7 +643,8 @@ fn punctual_bounds(light: &Punctual) -> LightBounds {
         two_sided: false,
         all_around: true,
     };
-    let Shape::Profile { profile, light_from_world } = &light.shape else { return around };
+    let Shape::Profile(placed) = &light.shape else { return around };
+    let PlacedProfile { profile, light_from_world } = &**placed;
     let (axis, angle) = profile.cone();
     let share = profile.flux() / (profile.peak() * cone_integral(f64::from(angle)));
     LightBounds {
