@@ -35,7 +35,7 @@ pub struct BakeOptions {
     pub unwrapper: Unwrapper,
     /// Light from beyond the geometry. Default: none.
     pub sky: Option<SkySource>,
-    /// Rotation of a sky image about +Y. Unit: degrees. Default: 0.
+    /// Rotation of a sky about +Y, that of the scene's file as well. Unit: degrees. Default: 0.
     pub sky_rotation: f32,
     /// Factor on the sky's radiance. Default: 1.
     pub sky_scale: f32,
@@ -298,9 +298,6 @@ impl BakeOptions {
         }
         if !(self.sky_scale >= 0.0 && self.sky_scale.is_finite() && self.sky_rotation.is_finite()) {
             return fail("--sky-scale must be 0 or more, --sky-rotation a number".into());
-        }
-        if self.sky.is_none() && (self.sky_scale != 1.0 || self.sky_rotation != 0.0) {
-            return fail("--sky-scale and --sky-rotation are for a sky of --sky, and there is none".into());
         }
         if self.double_sided == DoubleSided::Split && !self.groups.is_empty() {
             return fail("--double-sided split: the backs have no layers of groups; leave out --group".into());

@@ -8,7 +8,9 @@ use common::glb::SceneBuilder;
 use common::program::{evenlight, expect, read_json, text};
 use common::rooms::{Builder, mean_where, plain, run};
 use evenlight::light::SkySampler;
+use evenlight::options::UvSource;
 use evenlight::scene::{AreaShape, BakeMode, Changes, LightChange, LightKind, Scene, Sky};
+use evenlight::{BakeOptions, NoObserver};
 use glam::{DVec3, Quat, Vec2, Vec3};
 use image::{DynamicImage, ImageFormat, RgbImage, RgbaImage};
 use serde_json::{Value, json};
@@ -179,6 +181,34 @@ fn faces_light_what_looks_at_them() {
         let expected = PI * (ahead * around[at] + beside * others);
         assert!((found / expected - 1.0).abs() < 0.02, "face {at}: {found}, not {expected}");
     }
+}
+
+/// Turned and dimmed, a sky looks so in every direction.
+#[test]
+fn skies_of_a_file_can_be_turned_and_dimmed() {
+    let bright = |w: Vec3| [0.5 + 0.4 * f64::from(w.x), 0.5 + 0.4 * f64::from(w.y), 0.5 + 0.4 * f64::from(w.z)];
+    let scene = load(surroundings(&faces(64, true, bright), json!({}))).expect("a good scene");
+    let cube = scene.sky.clone().expect("surroundings");
+    let radiance: Vec<Vec3> = (0..32).map(|i| Vec3::splat((i % 8) as f32)).collect();
+    let image = Sky::Image { width: 8, height: 4, radiance: radiance.into(), rotation: 0.3 };
+    let turn = Quat::from_rotation_y(40f32.to_radians());
+    for (sky, step) in [(cube, 0.05), (image, 0.0), (Sky::Constant(Vec3::ONE), 0.0)] {
+        let changed = sky.clone().changed(40.0, 0.5);
+        let mut same = 0;
+        for k in 0..200 {
+            let (z, phi) = (1.0 - (k as f32 + 0.5) / 100.0, k as f32 * 2.399_963);
+            let w = Vec3::new(phi.cos() * (1.0 - z * z).sqrt(), z, phi.sin() * (1.0 - z * z).sqrt());
+            same += usize::from((changed.radiance(turn * w) - 0.5 * sky.radiance(w)).abs().max_element() <= step);
+        }
+        // Next to the borders of texels rounding decides.
+        assert!(same >= 195, "{same} of 200");
+    }
+    let options = |sky_scale| BakeOptions { sky_scale, uv: UvSource::Generate, ..plain(32, 1e6) };
+    let mean = |sky_scale| run(&scene, &options(sky_scale)).report.mean_irradiance;
+    assert!((mean(0.25) / mean(1.0) - 0.25).abs() < 1e-3);
+    let bare = load(SceneBuilder::new().material("floor", [0.5; 3]).quad("floor", FLOOR)).expect("a good scene");
+    let said = evenlight::bake(&bare, &options(0.25), &mut NoObserver).expect_err("refused").to_string();
+    assert!(said.contains("neither the file nor --sky has a sky"), "{said}");
 }
 
 #[test]

@@ -113,10 +113,10 @@ pub struct BakeArgs {
     /// sun of --sun: `clear:3`, turbidity 1 to 10, and after a comma the reflectance of the ground [default: 0.2].
     #[arg(long, value_name = "CD/M2|R,G,B|FILE|clear:TURBIDITY", help_heading = "Light")]
     sky: Option<String>,
-    /// Turn a sky file about the vertical [degrees, counter-clockwise from above].
+    /// Turn the picture of a sky, of --sky or of the file, about the vertical [degrees, counter-clockwise from above].
     #[arg(long, default_value_t = 0.0, allow_negative_numbers = true, help_heading = "Light")]
     sky_rotation: f32,
-    /// Factor on the sky.
+    /// Factor on the sky, of --sky or of the file.
     #[arg(long, default_value_t = 1.0, help_heading = "Light")]
     sky_scale: f32,
     /// ELEVATION,AZIMUTH,LUX[,DIAMETER]: lux on a plane facing it; azimuth from -Z towards +X [degrees].

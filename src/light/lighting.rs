@@ -31,7 +31,11 @@ impl Lighting {
         let mut warnings = Vec::new();
         let scale = options.sky_scale;
         let sky = match &options.sky {
-            None => scene.sky.clone(),
+            None if scene.sky.is_none() && (scale != 1.0 || options.sky_rotation != 0.0) => {
+                let what = "--sky-scale, --sky-rotation: neither the file nor --sky has a sky; leave them out";
+                return Err(BakeError::Options(what.into()));
+            }
+            None => scene.sky.clone().map(|sky| sky.changed(options.sky_rotation, scale)),
             Some(SkySource::Constant(l)) => Some(Sky::Constant(*l * scale)),
             Some(SkySource::File(path)) => {
                 let (sky, found) = Sky::from_file(path, options.sky_rotation, scale)?;

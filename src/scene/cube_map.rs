@@ -43,6 +43,11 @@ impl CubeMap {
         CubeMap { size, radiance, cube_from_world: world_from_cube.conjugate() }
     }
 
+    /// The same faces with other texels, turned by `turn`.
+    pub(crate) fn turned(&self, turn: Quat, radiance: Arc<[Vec3]>) -> CubeMap {
+        CubeMap { size: self.size, radiance, cube_from_world: self.cube_from_world * turn.conjugate() }
+    }
+
     /// Texels along an edge of a face.
     pub fn size(&self) -> usize {
         self.size

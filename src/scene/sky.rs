@@ -5,7 +5,7 @@ use super::texture::MAX_IMAGE_TEXELS;
 use crate::error::{SceneError, Warning};
 use exr::prelude as exr;
 use exr::{ReadChannels, ReadLayers};
-use glam::Vec3;
+use glam::{Quat, Vec3};
 use image::ImageDecoder;
 use std::io::Cursor;
 use std::path::Path;
@@ -49,6 +49,22 @@ impl Sky {
             Sky::Constant(radiance) => *radiance,
             Sky::Image { width, height, radiance, rotation } => radiance[sky_pixel(*width, *height, *rotation, w)],
             Sky::Cube(map) => map.texels()[map.texel(w)],
+        }
+    }
+
+    /// The same, turned by so many degrees about +Y, counter-clockwise as seen from above, and `scale` times as bright.
+    pub fn changed(self, degrees: f32, scale: f32) -> Sky {
+        if degrees == 0.0 && scale == 1.0 {
+            return self;
+        }
+        let turn = degrees.to_radians();
+        let scaled = |radiance: &[Vec3]| radiance.iter().map(|l| (*l * scale).min(Vec3::MAX)).collect();
+        match self {
+            Sky::Constant(radiance) => Sky::Constant((radiance * scale).min(Vec3::MAX)),
+            Sky::Image { width, height, radiance, rotation } => {
+                Sky::Image { width, height, radiance: scaled(&radiance), rotation: rotation + turn }
+            }
+            Sky::Cube(map) => Sky::Cube(map.turned(Quat::from_rotation_y(turn), scaled(map.texels()))),
         }
     }
 
