@@ -1,12 +1,15 @@
 //! What a bake says about itself.
 
 use crate::accuracy::{Audit, MeshError, TexelError};
+use crate::atlas::{Atlas, Texels};
 use crate::error::Warning;
+use crate::light::{Emitters, Lighting};
 use crate::lightmap::Shown;
 use crate::observer::{Progress, Remaining};
-use crate::options::Quantity;
+use crate::options::{BakeOptions, Quantity};
 use crate::photon::EnergyLedger;
-use crate::solve::GroupSolution;
+use crate::scene::{Scene, World};
+use crate::solve::{GroupSolution, Solution};
 use serde::Serialize;
 
 /// The convergence report. Errors are in percent of the mean irradiance, as the README defines them.
@@ -323,8 +326,112 @@ pub fn percentile_95(meshes: &[MeshError]) -> f64 {
     if k == 0 { 0.0 } else { errors[k - 1] }
 }
 
-/// Names an estimate's fields as the report does.
 impl Report {
+    /// What is known when the light is solved; `open` is the open share of each texel of the map.
+    pub(crate) fn new(
+        world: &World,
+        atlas: &Atlas,
+        texels: &Texels,
+        open: &[f32],
+        solution: &Solution,
+        lighting: &Lighting,
+        options: &BakeOptions,
+    ) -> Report {
+        let scene = world.scene;
+        let metres2 = world.frame.metres * world.frame.metres;
+        let area = |share: &dyn Fn(usize) -> f64| {
+            (0..texels.mapped).map(|i| f64::from(texels.texels[i].area) * share(i)).sum::<f64>() * metres2
+        };
+        let mut warnings = scene.warnings.clone();
+        warnings.extend(atlas.warnings.iter().cloned());
+        warnings.extend(lighting.warnings.iter().cloned());
+        warnings.extend(texture_warnings(scene));
+        let mut report = Report {
+            evenlight: env!("CARGO_PKG_VERSION"),
+            scene: scene.name.clone(),
+            seed: options.seed,
+            quantity: options.quantity,
+            target_percent: options.target_percent,
+            target_mesh_percent: options.mesh_target(),
+            target_shown_percent: options.target_shown_percent,
+            target_met: solution.limit.is_none(),
+            limit: solution.limit,
+            sigma: 0.0,
+            sigma_paper: 0.0,
+            cell_bias: 0.0,
+            cell_bias_resolution: 0.0,
+            unseen_error: 0.0,
+            cell_energy_change: match solution.smoothed {
+                [before, after] if before > 0.0 => 100.0 * (after / before - 1.0),
+                _ => 0.0,
+            },
+            texel_error_percent: 0.0,
+            texel_error_interval: [0.0; 2],
+            luminance_error_percent: 0.0,
+            audit: solution.audit.ok(),
+            texel_grid_error: 0.0,
+            texel_grid_resolution: 0.0,
+            shown_error_percent: 0.0,
+            area_within_target: solution.area_within_target,
+            mesh_error_percent_95: solution.mesh_percent,
+            outlier_share: 0.0,
+            split: Split { direct: 0.0, indirect: 0.0 },
+            mean_irradiance: 0.0,
+            meshes: solution.meshes.clone(),
+            groups: solution.groups.iter().map(GroupReport::new).collect(),
+            history: solution.history.clone(),
+            work: Work {
+                direct_samples: solution.direct_samples,
+                direct_rays: solution.direct_rays,
+                photons: solution.photons,
+                photon_rays: solution.ledger.rays,
+                deposits: solution.ledger.deposits,
+                caustic_photons: solution.caustic_photons,
+                caustic_rays: solution.caustic_rays,
+                gather_rays: solution.gather_rays,
+                gathered_meshes: solution.gathered_meshes,
+                ..Work::default()
+            },
+            energy: Energy::new(&solution.ledger, solution.unit * metres2),
+            atlas: AtlasSummary {
+                pages: atlas.pages.len(),
+                charts: atlas.first_chart.last().copied().unwrap_or(0),
+                texels: texels.texels[..texels.mapped].iter().filter(|t| !t.back).count(),
+                transport_texels: texels.texels.len() - texels.mapped,
+                cells: solution.cells,
+                utilization: texels.texels[..texels.mapped].iter().filter(|t| !t.back).count() as f64
+                    / atlas.pages.iter().map(|p| f64::from(p.width) * f64::from(p.height)).sum::<f64>().max(1.0),
+                texels_per_metre: atlas.texels_per_metre,
+                area: area(&|i| f64::from(u8::from(!texels.texels[i].back))),
+                buried_area: area(&|i| if texels.texels[i].back { 0.0 } else { 1.0 - f64::from(open[i]) }),
+                triangles: world.len(),
+            },
+            skips: solution.audit.err().into_iter().map(String::from).collect(),
+            changed: scene.changed.clone(),
+            warnings,
+            peak_memory_bytes: None,
+            seconds: Seconds::default(),
+        };
+        report.set_texel_error(&solution.error);
+        report
+    }
+
+    /// Counts what shines, and warns where nothing is lit.
+    pub(crate) fn set_emitters(&mut self, emitters: &Emitters) {
+        (self.work.emissive_triangles, self.work.lights) = emitters.counts();
+        if emitters.is_empty() {
+            self.warnings.push(Warning::new(
+                "no-light",
+                "nothing in the scene emits: the maps are black; add a light, an emissive material, --sky or --sun",
+            ));
+        } else if self.mean_irradiance <= 0.0 {
+            self.warnings.push(Warning::new(
+                "no-light-arrives",
+                "no sample found any light: the maps are black; look whether walls shut the lights in or out",
+            ));
+        }
+    }
+
     /// Copies a texel error into the report's keys.
     pub fn set_texel_error(&mut self, e: &TexelError) {
         self.sigma = e.sigma;
@@ -351,4 +458,12 @@ impl Report {
         self.texel_grid_resolution = shown.resolution;
         self.shown_error_percent = shown.percent;
     }
+}
+
+/// Images that turned out not to be decodable when they were looked at.
+fn texture_warnings(scene: &Scene) -> impl Iterator<Item = Warning> + '_ {
+    scene.textures.iter().filter_map(|t| {
+        let why = t.known_decode_error()?;
+        Some(Warning::new("image-not-decoded", format!("image {}: {why}; taken as white", t.name)))
+    })
 }
