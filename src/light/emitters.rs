@@ -2,16 +2,17 @@
 
 use super::groups::LightGroup;
 use super::lighting::Lighting;
+use super::panel::{Panel, panel_bounds, panels_of};
 use super::polygon::SeenPolygon;
+use super::punctual::{Punctual, Shape, punctual_bounds, to_frame};
 use super::receiver::Receiver;
 use super::sky::SkySampler;
 use super::tree::{LightBounds, LightTree};
 use super::visibility::Visibility;
 use crate::accel::{self, Ray};
 use crate::sampling::{Stream, cosine_hemisphere, uniform_cone, uniform_triangle};
-use crate::scene::{AreaShape, BakeMode, IesProfile, Light, LightKind, SurfaceFlags, World};
-use glam::{DVec2, Mat3, Vec2, Vec3};
-use std::sync::Arc;
+use crate::scene::{BakeMode, Light, LightKind, SurfaceFlags, World};
+use glam::{Vec2, Vec3};
 
 /// Up to this many point and spot lights each get a shadow ray of their own per sample; more go into the
 /// light tree.
@@ -20,11 +21,11 @@ pub const PUNCTUAL_LOOP_LIMIT: usize = 16;
 /// Up to this many emitters of the light tree are all weighed for each sample, without the tree.
 const WEIGH_ALL_LIMIT: usize = 32;
 
-/// Shadow rays to what is no surface end a hair before it, for it may lie on one: at this share of the way.
-const HAIR_BEFORE: f32 = 1.0 - 1e-5;
-
 /// Of more, the tree proposes this many.
 const PROPOSALS: u32 = 2;
+
+/// Shadow rays to what is no surface end a hair before it, for it may lie on one: at this share of the way.
+const HAIR_BEFORE: f32 = 1.0 - 1e-5;
 
 /// What to make of the lights.
 #[derive(Debug, Clone, Copy, Default)]
@@ -39,87 +40,6 @@ impl LightSettings<'_> {
     fn takes(&self, is_in: impl Fn(&LightGroup) -> bool) -> bool {
         self.group.is_none_or(is_in)
     }
-}
-
-/// A light without area, in the frame.
-#[derive(Debug, Clone)]
-struct Punctual {
-    position: Vec3,
-    direction: Vec3,
-    /// Candela over metres^2 of the frame unit: E = intensity cos / distance^2 in frame units. Lux for
-    /// directional lights.
-    intensity: Vec3,
-    shape: Shape,
-    stored: bool,
-}
-
-#[derive(Debug, Clone)]
-enum Shape {
-    Point,
-    /// Falloff of a profile. Elsewhere, since most lights have none, and all are looked at again and again.
-    Profile(Box<PlacedProfile>),
-    /// Spot falloff ((cos - cos_outer) * scale)^2, clamped.
-    Spot {
-        cos_outer: f32,
-        scale: f32,
-    },
-    /// Cosine of half the angular diameter; 1 for parallel light.
-    Directional {
-        cos_radius: f32,
-    },
-}
-
-/// A profile in the frame whose axes are the rows.
-#[derive(Debug, Clone)]
-struct PlacedProfile {
-    profile: Arc<IesProfile>,
-    light_from_world: Mat3,
-}
-
-impl PlacedProfile {
-    #[inline(never)]
-    fn share(&self, towards: Vec3) -> f32 {
-        self.profile.share(self.light_from_world * towards)
-    }
-}
-
-impl Punctual {
-    /// Whether it stands somewhere.
-    fn is_lamp(&self) -> bool {
-        !matches!(self.shape, Shape::Directional { .. })
-    }
-
-    /// The way from `at` to a point or spot light, its unit direction, and the share of the intensity that goes there
-    /// over the distance squared; `None` on the light itself.
-    #[inline]
-    fn towards(&self, at: &Receiver) -> Option<(Vec3, Vec3, f32)> {
-        let to = self.position - at.origin;
-        let d2 = to.length_squared();
-        if d2 < 1e-14 {
-            return None;
-        }
-        let w = to / d2.sqrt();
-        let cone = match &self.shape {
-            Shape::Spot { cos_outer, scale } => {
-                let f = ((self.direction.dot(-w) - cos_outer) * scale).clamp(0.0, 1.0);
-                f * f
-            }
-            Shape::Profile(placed) => placed.share(-w),
-            Shape::Point | Shape::Directional { .. } => 1.0,
-        };
-        Some((to, w, cone / d2))
-    }
-}
-
-/// A triangle of a light with area, in the frame: no surface of the scene, for no ray meets it.
-#[derive(Debug, Clone)]
-struct Panel {
-    corners: [Vec3; 3],
-    /// Unit vector to the side that shines.
-    normal: Vec3,
-    /// Nit.
-    radiance: Vec3,
-    stored: bool,
 }
 
 /// One entry of the light tree.
@@ -201,6 +121,18 @@ impl DirectSample {
             self.stored += light * cosines.1;
         }
     }
+
+    /// Light of a surface, whose shadows have penumbras.
+    fn add_soft(&mut self, light: Vec3, towards: Vec3, at: &Receiver, stored: bool) {
+        if light == Vec3::ZERO {
+            return;
+        }
+        let cosines = at.cosines(towards);
+        self.add(light, towards, cosines, stored);
+        if stored {
+            self.soft += light * cosines.1;
+        }
+    }
 }
 
 /// Dimensions of the unit cube that one sample uses, besides the two for the place on the texel.
@@ -233,7 +165,7 @@ impl Emitters {
                 panels.extend(panels_of(light, shape, world, settings));
             }
             let Some(p) = to_frame(light, world, settings) else { continue };
-            if matches!(p.shape, Shape::Directional { .. }) { looped.push(p) } else { punctual.push(p) }
+            if p.is_lamp() { punctual.push(p) } else { looped.push(p) }
         }
         if punctual.len() <= PUNCTUAL_LOOP_LIMIT {
             looped.append(&mut punctual);
@@ -517,15 +449,12 @@ fn add_triangle(
     let to = accel::offset_origin(target, side, world.extent(id)) - at.origin;
     *rays += 1;
     let passed = visibility.transmittance(&Ray { origin: at.origin, direction: to, t_max: 1.0 });
-    if passed != Vec3::ZERO {
-        let cosines = at.cosines(w.as_vec3());
-        let light = radiance * passed * (weight * (polygon.projected() / polygon.cosine(w)) as f32);
-        let stored = world.material(id).bake == BakeMode::Full;
-        out.add(light, w.as_vec3(), cosines, stored);
-        if stored {
-            out.soft += light * cosines.1;
-        }
-    }
+    out.add_soft(
+        radiance * passed * polygon.share(w, weight),
+        w.as_vec3(),
+        at,
+        world.material(id).bake == BakeMode::Full,
+    );
 }
 
 /// The same of a light with area.
@@ -541,22 +470,15 @@ fn add_panel(
     rays: &mut u64,
 ) {
     let Some(w) = polygon.sample(u, more) else { return };
-    let (w, towards) = (w.as_vec3(), -panel.normal.dot(w.as_vec3()));
+    let (direction, towards) = (w.as_vec3(), -panel.normal.dot(w.as_vec3()));
     if towards <= 0.0 {
         return;
     }
     // To where the direction meets the plane of the light.
     let t_max = -panel.normal.dot(panel.corners[0] - at.origin) / towards * HAIR_BEFORE;
     *rays += 1;
-    let passed = visibility.transmittance(&Ray { origin: at.origin, direction: w, t_max });
-    if passed != Vec3::ZERO {
-        let cosines = at.cosines(w);
-        let light = panel.radiance * passed * (weight * (polygon.projected() / polygon.cosine(w.as_dvec3())) as f32);
-        out.add(light, w, cosines, panel.stored);
-        if panel.stored {
-            out.soft += light * cosines.1;
-        }
-    }
+    let passed = visibility.transmittance(&Ray { origin: at.origin, direction, t_max });
+    out.add_soft(panel.radiance * passed * polygon.share(w, weight), direction, at, panel.stored);
 }
 
 /// Barycentric weights where the direction `w` from the origin meets a triangle's plane.
@@ -573,96 +495,6 @@ fn barycentric_along(corners: [glam::DVec3; 3], w: glam::DVec3) -> Option<Vec2> 
     let (u, v) = (u.clamp(0.0, 1.0), v.clamp(0.0, 1.0));
     let over = (u + v).max(1.0);
     Some(Vec2::new((u / over) as f32, (v / over) as f32))
-}
-
-fn panels_of(light: &Light, shape: AreaShape, world: &World, settings: LightSettings) -> Vec<Panel> {
-    let [x, y] = [light.axes.x_axis, light.axes.y_axis].map(Vec3::as_dvec3);
-    let place = |p: DVec2| world.frame.from_world(light.position + x * p.x + y * p.y);
-    let panel = |corners: [DVec2; 3]| Panel {
-        corners: corners.map(place),
-        normal: -light.axes.z_axis,
-        radiance: light.intensity,
-        stored: !settings.indirect_only && light.bake == BakeMode::Full,
-    };
-    shape.triangles().into_iter().map(panel).collect()
-}
-
-fn panel_bounds(panel: &Panel) -> LightBounds {
-    let [a, b, c] = panel.corners;
-    LightBounds {
-        lo: a.min(b).min(c),
-        hi: a.max(b).max(c),
-        power: panel.radiance.element_sum() * 0.5 * (b - a).cross(c - a).length(),
-        axis: panel.normal,
-        cos_spread: 1.0,
-        two_sided: false,
-        all_around: false,
-    }
-}
-
-/// A light without area; `None` for one that has one.
-fn to_frame(light: &Light, world: &World, settings: LightSettings) -> Option<Punctual> {
-    let m = world.frame.metres;
-    let (shape, scale) = match light.kind {
-        LightKind::Point => match &light.profile {
-            None => (Shape::Point, 1.0 / (m * m)),
-            Some(profile) => {
-                let light_from_world = light.axes.transpose();
-                let placed = PlacedProfile { profile: profile.clone(), light_from_world };
-                (Shape::Profile(Box::new(placed)), 1.0 / (m * m))
-            }
-        },
-        LightKind::Spot { inner, outer } => {
-            let (ci, co) = (libm::cosf(inner), libm::cosf(outer));
-            (Shape::Spot { cos_outer: co, scale: 1.0 / (ci - co).max(1e-4) }, 1.0 / (m * m))
-        }
-        LightKind::Directional { angular_diameter } => {
-            // Lux count on a plane facing the light: the mean cosine over the disc belongs to them.
-            let cos_radius = libm::cos(f64::from(angular_diameter) * 0.5);
-            (Shape::Directional { cos_radius: cos_radius as f32 }, 2.0 / (1.0 + cos_radius))
-        }
-        LightKind::Area(_) => return None,
-    };
-    Some(Punctual {
-        position: world.frame.from_world(light.position),
-        direction: light.direction,
-        intensity: light.intensity * scale as f32,
-        shape,
-        stored: !settings.indirect_only && light.bake == BakeMode::Full,
-    })
-}
-
-/// Bounds of a point or spot light. Those of a profile send its flux, spread as the cone around it is.
-fn punctual_bounds(light: &Punctual) -> LightBounds {
-    let around = LightBounds {
-        lo: light.position,
-        hi: light.position,
-        power: light.intensity.element_sum(),
-        axis: Vec3::Y,
-        cos_spread: -1.0,
-        two_sided: false,
-        all_around: true,
-    };
-    let Shape::Profile(placed) = &light.shape else { return around };
-    let PlacedProfile { profile, light_from_world } = &**placed;
-    let (axis, angle) = profile.cone();
-    let share = profile.flux() / (profile.peak() * cone_integral(f64::from(angle)));
-    LightBounds {
-        power: around.power * share.clamp(1e-3, 1.0) as f32,
-        axis: light_from_world.transpose() * axis,
-        cos_spread: libm::cosf(angle),
-        all_around: false,
-        ..around
-    }
-}
-
-/// Integral over all directions of cos(max(0, t - angle)), t the angle to an axis, up to a right angle beyond [sr].
-fn cone_integral(angle: f64) -> f64 {
-    use std::f64::consts::{FRAC_PI_2, PI};
-    let (s, c) = libm::sincos(angle);
-    let beyond = FRAC_PI_2.min(PI - angle);
-    let sin = libm::sin(beyond);
-    2.0 * PI * (1.0 - c + s * (0.5 * beyond + 0.25 * libm::sin(2.0 * beyond)) + 0.5 * c * sin * sin)
 }
 
 /// Bounds of an emissive triangle; `None` if it emits nothing.
@@ -698,23 +530,4 @@ fn triangle_bounds(world: &World, id: u32) -> Option<LightBounds> {
         two_sided: world.material(id).double_sided,
         all_around: false,
     })
-}
-
-#[cfg(test)]
-mod tests {
-    use super::cone_integral;
-    use std::f64::consts::PI;
-
-    /// A ray sends pi, as a surface does; all around it is the whole sphere; between them against a sum.
-    #[test]
-    fn cones_integrate() {
-        assert!((cone_integral(0.0) - PI).abs() < 1e-12 && (cone_integral(PI) - 4.0 * PI).abs() < 1e-12);
-        for angle in [0.3, 1.0, 2.0, 3.0] {
-            let n = 100_000;
-            let t = |k: i32| (f64::from(k) + 0.5) * PI / f64::from(n);
-            let bound = |t: f64| if t > angle + PI / 2.0 { 0.0 } else { (t - angle).max(0.0).cos() };
-            let sum: f64 = (0..n).map(|k| bound(t(k)) * t(k).sin() * 2.0 * PI * PI / f64::from(n)).sum();
-            assert!((cone_integral(angle) - sum).abs() < 1e-6, "{angle}: {}, not {sum}", cone_integral(angle));
-        }
-    }
 }

@@ -61,6 +61,12 @@ impl SeenPolygon {
         self.shading.map_or(on_surface, |s| 0.5 * (on_surface + s.dot(w).max(0.0)))
     }
 
+    /// `weight` over the density of [`sample`](Self::sample) at `w`, times the cosine there: what the radiance from there is
+    /// to be multiplied by.
+    pub fn share(&self, w: DVec3, weight: f32) -> f32 {
+        weight * (self.projected() / self.cosine(w)) as f32
+    }
+
     /// Unit direction to the polygon with density [`cosine`](Self::cosine) / [`projected`](Self::projected) per
     /// solid angle, by rejection: `u` is the first try, `more` gives all others.
     pub fn sample(&self, u: Vec2, more: &mut Stream) -> Option<DVec3> {

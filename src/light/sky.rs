@@ -48,11 +48,7 @@ impl SkySampler {
             Sky::Cube(map) => {
                 let n = map.size();
                 // The faces below one another, each texel with the solid angle of its centre.
-                let texel = |x: usize, y: usize| {
-                    let [u, v] = [x, y % n].map(|t| (t as f64 + 0.5) / n as f64 * 2.0 - 1.0);
-                    let solid_angle = cube_texel_area(n) * nearness(u, v);
-                    brightness(map.texels()[y * n + x]) * solid_angle
-                };
+                let texel = |x: usize, y: usize| brightness(map.texels()[y * n + x]) * map.solid_angle(x, y % n);
                 let distribution = Distribution::new(n, 6 * n, texel, |_| 1.0);
                 SkyImage { picture: Picture::Cube(map.clone()), distribution }
             }
@@ -87,17 +83,6 @@ fn solid_angle(width: usize, height: usize, y: usize) -> f64 {
     let h = height as f64;
     let band = libm::cos(y as f64 / h * PI) - libm::cos((y + 1) as f64 / h * PI);
     band * 2.0 * PI / width as f64
-}
-
-/// Area of a texel on a face of `n` x `n` texels of a cube of half edge 1.
-fn cube_texel_area(n: usize) -> f64 {
-    4.0 / (n * n) as f64
-}
-
-/// What an area is seen as in solid angle, at (u, v) on the face of a cube of half edge 1.
-fn nearness(u: f64, v: f64) -> f64 {
-    let squared = 1.0 + u * u + v * v;
-    1.0 / (squared * squared.sqrt())
 }
 
 impl SkyImage {

@@ -91,15 +91,21 @@ impl CubeMap {
         (face, [right, down].map(|axis| (axis.dot(w) / a[k]).clamp(-1.0, 1.0)))
     }
 
+    /// Solid angle of a texel of any face [sr], as that of its centre.
+    pub(crate) fn solid_angle(&self, x: usize, y: usize) -> f64 {
+        let n = self.size as f64;
+        let [u, v] = [x, y].map(|t| (t as f64 + 0.5) / n * 2.0 - 1.0);
+        let squared = 1.0 + u * u + v * v;
+        4.0 / (n * n * squared * squared.sqrt())
+    }
+
     /// Mean over all directions (nit).
     pub fn mean(&self) -> Vec3 {
         let n = self.size;
         let mut sum = glam::DVec3::ZERO;
         let mut solid = 0.0;
         for (i, radiance) in self.radiance.iter().enumerate() {
-            let [u, v] = [i % n, i / n % n].map(|t| (t as f64 + 0.5) / n as f64 * 2.0 - 1.0);
-            let squared = 1.0 + u * u + v * v;
-            let omega = 1.0 / (squared * squared.sqrt());
+            let omega = self.solid_angle(i % n, i / n % n);
             sum += radiance.as_dvec3() * omega;
             solid += omega;
         }

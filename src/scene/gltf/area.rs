@@ -4,7 +4,7 @@
 //! `disk`, `size` and `rect.aspect`, `intensity` in nit, -Z as the side that shines, scaled evenly by the largest scale
 //! of the node. The draft does not say whether such a light is seen or blocks; as a light of an engine it does neither.
 
-use super::light::{axes, bake_mode};
+use super::light::{axes, bake_mode, light_index};
 use super::node::direction;
 use super::reader::{REPAIR, Reader};
 use crate::error::SceneError;
@@ -57,10 +57,7 @@ pub(super) fn read(
     world_from_node: DAffine3,
 ) -> Result<Option<Light>, SceneError> {
     let by = reader.label("nodes", node);
-    let Some(index) = extension.get("light").and_then(Value::as_u64) else {
-        return Err(reader.invalid(format!("{by}: its EXT_lights_area names no `light`; {REPAIR}")));
-    };
-    let index = usize::try_from(index).unwrap_or(usize::MAX);
+    let index = light_index(reader, extension, "EXT_lights_area", &by)?;
     let raw: RawLight = reader.object(PANELS, index, &by)?;
     let label = reader.label(PANELS, index);
     let m = world_from_node.matrix3;

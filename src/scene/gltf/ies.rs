@@ -1,7 +1,7 @@
 //! EXT_lights_ies: lights that shine as an IES file says.
 
 use super::container;
-use super::light::{axes, bake_mode};
+use super::light::{axes, bake_mode, light_index};
 use super::node::direction;
 use super::reader::{REPAIR, Reader};
 use crate::error::{SceneError, Warning};
@@ -29,10 +29,7 @@ pub(super) fn read(
     world_from_node: DAffine3,
 ) -> Result<Option<Light>, SceneError> {
     let by = reader.label("nodes", node);
-    let Some(index) = extension.get("light").and_then(Value::as_u64) else {
-        return Err(reader.invalid(format!("{by}: its EXT_lights_ies names no `light`; {REPAIR}")));
-    };
-    let index = usize::try_from(index).unwrap_or(usize::MAX);
+    let index = light_index(reader, extension, "EXT_lights_ies", &by)?;
     reader.value(PROFILES, index, &by)?;
     let multiplier = match extension.get("multiplier") {
         None => 1.0,

@@ -11,6 +11,7 @@
 //! in glTF's right-handed space. Where they join better as OpenGL has them, the file was written so, and is read so.
 
 use super::container;
+use super::light::light_index;
 use super::reader::{REPAIR, Reader};
 use crate::error::SceneError;
 use crate::scene::{CubeMap, Sky, srgb_table};
@@ -41,10 +42,7 @@ pub(super) fn read(reader: &mut Reader, scene: usize) -> Result<Option<Sky>, Sce
     let by = reader.label("scenes", scene);
     let extension = reader.value("scenes", scene, "the file")?.pointer("/extensions/EXT_lights_image_based");
     let Some(extension) = extension else { return Ok(None) };
-    let index = extension.get("light").and_then(Value::as_u64).and_then(|i| usize::try_from(i).ok());
-    let Some(index) = index else {
-        return Err(reader.invalid(format!("{by}: its EXT_lights_image_based names no `light`; {REPAIR}")));
-    };
+    let index = light_index(reader, extension, "EXT_lights_image_based", &by)?;
     let light = reader.value(SURROUNDINGS, index, &by)?;
     let label = reader.label(SURROUNDINGS, index);
     let intensity =

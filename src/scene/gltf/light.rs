@@ -10,6 +10,17 @@ use json::extensions::scene::khr_lights_punctual::{Light as RawLight, Type};
 use json::validation::Checked;
 use serde_json::Value;
 
+/// Which light of the list of `name`, an extension, `extension` gives to `by`.
+///
+/// # Errors
+/// [`SceneError`] where it names none.
+pub(super) fn light_index(reader: &Reader, extension: &Value, name: &str, by: &str) -> Result<usize, SceneError> {
+    let index = extension.get("light").and_then(Value::as_u64);
+    let index = index.ok_or_else(|| reader.invalid(format!("{by}: its {name} names no `light`; {REPAIR}")))?;
+    // What is beyond is in no list, which the reader says.
+    Ok(usize::try_from(index).unwrap_or(usize::MAX))
+}
+
 /// Reads the light at a node: at its origin, along its -Z axis, its scale ignored. `None`, with a warning,
 /// where it shines nowhere.
 pub(super) fn read(
