@@ -6,7 +6,7 @@
 
 use crate::error::Warning;
 use crate::light::{Emitters, Receiver, SAMPLE_DIMENSIONS, Visibility};
-use crate::sampling::{Stream, hash_seed, sobol, unit_f32};
+use crate::sampling::{Stream, hash_seed, sobol, uniform_triangle, unit_f32};
 use crate::scene::{Scene, SurfaceFlags, World};
 use crate::solve::Solution;
 use glam::Vec2;
@@ -166,13 +166,8 @@ impl Lamps<'_> {
         let scramble = hash_seed(&[self.seed, STREAM]);
         let u = |d: usize| unit_f32(sobol(k as u32, d, scramble));
         let mut stream = Stream::new(u64::from(hash_seed(&[self.seed, STREAM, k as u64])));
-        let at = Receiver::new(self.visibility.world, triangle, folded(Vec2::new(u(0), u(1))), back, false);
+        let at = Receiver::new(self.visibility.world, triangle, uniform_triangle(Vec2::new(u(0), u(1))), back, false);
         let light = self.emitters.lamps(&at, self.visibility, |d| u(d + 2), &mut stream, &mut 0);
         f64::from(light.element_sum()) / 3.0
     }
-}
-
-/// Barycentric weights of the second and third corner from a point of the unit square, folded along its diagonal.
-pub fn folded(u: Vec2) -> Vec2 {
-    if u.x + u.y > 1.0 { 1.0 - u } else { u }
 }

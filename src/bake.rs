@@ -119,7 +119,8 @@ fn bake_here<'s>(scene: &'s Scene, options: &BakeOptions, observer: &mut dyn Obs
     let Surface { texels, open, probe_rays, .. } = surface;
     let mut report = Report::new(&world, &atlas, &texels, &open, &solution, &lighting, options);
     report.set_shown(&on_screen);
-    add_illuminances(&world, &texels, &solution, &mut report.meshes);
+    let light = [&solution.total, &solution.unsmoothed];
+    add_illuminances(&world, &texels, light, &solution.weights, &mut report.meshes);
     let skips =
         Skips { visibility: &visibility, lighting: &lighting, atlas: &atlas, texels: &texels, open: &open, pilot };
     report.skips.extend(skips.lines());

@@ -194,6 +194,13 @@ pub struct Work {
     pub lights: usize,
 }
 
+impl Work {
+    /// Rays of all kinds.
+    pub fn rays(&self) -> u64 {
+        self.direct_rays + self.photon_rays + self.caustic_rays + self.gather_rays + self.probe_rays
+    }
+}
+
 /// The energy balance.
 #[derive(Debug, Clone, Copy, Serialize)]
 pub struct Energy {

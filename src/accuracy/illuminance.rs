@@ -11,10 +11,9 @@
 //! Places are picked in the light of the maps. Values are read from it as it was before smoothing, which lightens the
 //! dark corners that a minimum is about: its noise is more, but all of it shows in the halves.
 
-use super::estimate::{Halves, MeshError, luminance};
+use super::estimate::{Halves, MeshError, TexelWeights, luminance};
 use crate::atlas::Texels;
 use crate::scene::World;
-use crate::solve::Solution;
 use rayon::prelude::*;
 use serde::Serialize;
 use std::collections::BTreeMap;
@@ -180,9 +179,15 @@ fn least(patches: &[Patch], sign: f64) -> (f64, f64) {
     (read(&|p| p.raw), noise.hypot(gap))
 }
 
-/// Fills in the illuminance of the nodes of `meshes` from the irradiance of the maps, and from that before smoothing.
-pub fn add_illuminances(world: &World, texels: &Texels, solution: &Solution, meshes: &mut [MeshError]) {
-    let Solution { total, unsmoothed, weights, .. } = solution;
+/// Fills in the illuminance of the nodes of `meshes` from the irradiance of the maps, `total`, and from that before
+/// smoothing.
+pub fn add_illuminances(
+    world: &World,
+    texels: &Texels,
+    [total, unsmoothed]: [&Halves; 2],
+    weights: &TexelWeights,
+    meshes: &mut [MeshError],
+) {
     let mut of_instance = vec![Vec::new(); world.scene.instances.len()];
     (0..texels.mapped)
         .filter(|&i| weights.weight[i] > 0.0)

@@ -203,8 +203,7 @@ fn summary(r: &Report, folder: &Path) -> String {
         r.shown_error_percent,
         r.atlas.texels,
         r.atlas.triangles,
-        (r.work.direct_rays + r.work.photon_rays + r.work.caustic_rays + r.work.gather_rays + r.work.probe_rays) as f64
-            / 1e6,
+        r.work.rays() as f64 / 1e6,
         seconds(r.seconds.total),
         r.mean_irradiance,
         folder.display(),

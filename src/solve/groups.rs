@@ -53,10 +53,7 @@ pub fn solve_groups(
     began: Instant,
     observer: &mut dyn Observer,
 ) -> Result<Solution, BakeError> {
-    if groups.is_empty() {
-        return solve(path, weights, options, began, observer);
-    }
-    let weights = sides(path, weights, options, began, observer)?;
+    let weights = if groups.is_empty() { weights } else { sides(path, weights, options, began, observer)? };
     let count = groups.len();
     let mut sum: Option<Solution> = None;
     for (k, group) in groups.iter().enumerate() {

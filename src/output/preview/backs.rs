@@ -4,8 +4,8 @@ use super::RgbImage;
 use super::render::CameraRays;
 use crate::accel::{Hit, Ray};
 use crate::accuracy::spread;
-use crate::backs::{LitBacks, ends_light, folded};
-use crate::sampling::{cosine_hemisphere, sobol, unit_f32};
+use crate::backs::{LitBacks, ends_light};
+use crate::sampling::{cosine_hemisphere, sobol, uniform_triangle, unit_f32};
 use crate::scene::{Camera, Projection, World};
 use glam::{Vec2, Vec3};
 use rayon::prelude::*;
@@ -75,7 +75,7 @@ fn camera(
         .into_iter()
         .enumerate()
         .map(|(k, j)| {
-            let uv = folded(Vec2::new(random(k, 0), random(k, 1)));
+            let uv = uniform_triangle(Vec2::new(random(k, 0), random(k, 1)));
             (world.position(lit[j], uv), -world.normals[lit[j] as usize])
         })
         .collect();

@@ -96,7 +96,7 @@ fn headline(r: &Report) -> String {
     let facts = [
         ("time", seconds(r.seconds.total)),
         ("photons", count(w.photons)),
-        ("rays", count(w.direct_rays + w.photon_rays + w.caustic_rays + w.gather_rays + w.probe_rays)),
+        ("rays", count(w.rays())),
         ("texels", count(r.atlas.texels as u64)),
         ("pages", count(r.atlas.pages as u64)),
         ("triangles", count(r.atlas.triangles as u64)),
