@@ -4,6 +4,7 @@ use crate::accel::{Accel, coincident_warning, part_coincident};
 use crate::accuracy::{TexelWeights, add_illuminances};
 use crate::atlas::{self, Atlas, Texels, Unwrapping};
 use crate::backs::LitBacks;
+use crate::cache::{Cache, Digest, Keeping};
 use crate::error::BakeError;
 use crate::light::{Emitters, LightGroup, LightSettings, Lighting, Visibility};
 use crate::lightmap::{GridPoints, Lightmap, shown_error};
@@ -39,6 +40,19 @@ pub struct Bake<'s> {
     pub backs: LitBacks,
 }
 
+/// [`bake`] with a `cache`: takes from it what is there, goes on from the light that it has, and keeps there what is done.
+///
+/// # Errors
+/// As [`bake`].
+pub fn bake_with_cache<'s>(
+    scene: &'s Scene,
+    options: &BakeOptions,
+    cache: &mut dyn Cache,
+    observer: &mut dyn Observer,
+) -> Result<Bake<'s>, BakeError> {
+    bake_on_threads(scene, options, Some(cache), observer)
+}
+
 /// Bakes `scene`: unwraps, traces until the target is met or a limit binds, and makes the maps. Reads no files
 /// but a sky image named in the options, writes and prints nothing. The result depends on the scene, the
 /// options and the seed alone; on time only where a time limit binds.
@@ -46,23 +60,42 @@ pub struct Bake<'s> {
 /// # Errors
 /// [`BakeError`] names the object and the cure.
 pub fn bake<'s>(scene: &'s Scene, options: &BakeOptions, observer: &mut dyn Observer) -> Result<Bake<'s>, BakeError> {
+    bake_on_threads(scene, options, None, observer)
+}
+
+fn bake_on_threads<'s>(
+    scene: &'s Scene,
+    options: &BakeOptions,
+    cache: Option<&mut dyn Cache>,
+    observer: &mut dyn Observer,
+) -> Result<Bake<'s>, BakeError> {
     options.validate()?;
     let pool = rayon::ThreadPoolBuilder::new()
         .num_threads(options.threads)
         .build()
         .map_err(|e| BakeError::Options(format!("cannot start {} threads: {e}", options.threads)))?;
-    pool.install(|| bake_here(scene, options, observer))
+    pool.install(|| bake_here(scene, options, cache, observer))
 }
 
-fn bake_here<'s>(scene: &'s Scene, options: &BakeOptions, observer: &mut dyn Observer) -> Result<Bake<'s>, BakeError> {
+fn bake_here<'s>(
+    scene: &'s Scene,
+    options: &BakeOptions,
+    cache: Option<&mut dyn Cache>,
+    observer: &mut dyn Observer,
+) -> Result<Bake<'s>, BakeError> {
     let mut clock = Clock::new();
     let mut seconds = Seconds::default();
     let lighting = Lighting::new(scene, options)?;
+    let mut keeping = cache.map(|cache| Keeping { cache, digest: inputs(scene, &lighting, options) });
 
     observer.stage(Stage::Unwrap);
     let generates = options.uv == UvSource::Generate;
-    let mut unwrapping =
-        if generates { Some(Unwrapping::new(scene, options, &|| observer.cancelled())?) } else { None };
+    let mut unwrapping = if generates {
+        let cache = keeping.as_mut().map(|k| &mut *k.cache as &mut dyn Cache);
+        Some(Unwrapping::new(scene, options, cache, &|| observer.cancelled())?)
+    } else {
+        None
+    };
     seconds.atlas = clock.lap();
 
     observer.stage(Stage::Prepare);
@@ -76,7 +109,8 @@ fn bake_here<'s>(scene: &'s Scene, options: &BakeOptions, observer: &mut dyn Obs
     let mut pilot = None;
     if let Some(unwrapping) = unwrapping.as_mut().filter(|_| options.adapts_density()) {
         observer.stage(Stage::Pilot);
-        pilot = Some(adapt_density(unwrapping, &visibility, &emitters, options, clock.began, observer)?);
+        pilot =
+            Some(adapt_density(unwrapping, &visibility, &emitters, options, clock.began, keeping.as_mut(), observer)?);
         seconds.pilot = clock.lap();
     }
     let density = pilot.map_or(options.density, |p| p.density);
@@ -84,7 +118,8 @@ fn bake_here<'s>(scene: &'s Scene, options: &BakeOptions, observer: &mut dyn Obs
         Some(unwrapping) => unwrapping.place(&world, density, options, &|| observer.cancelled())?,
         None => atlas::build(scene, options, &|| observer.cancelled())?,
     };
-    drop(unwrapping);
+    let charts_from_cache = unwrapping.is_some_and(|u| u.from_cache);
+    keeping.iter_mut().for_each(|keeping| atlas.feed(&mut keeping.digest));
     atlas::check_memory(&world, &atlas, options)?;
     seconds.atlas += clock.lap();
     let go_on = |observer: &dyn Observer| if observer.cancelled() { Err(BakeError::Cancelled) } else { Ok(()) };
@@ -99,7 +134,7 @@ fn bake_here<'s>(scene: &'s Scene, options: &BakeOptions, observer: &mut dyn Obs
     let path = surface.path(&emitters, &visibility);
     let weights = TexelWeights::of_values(&world, &surface.texels, &surface.open, options.texel_value);
     let apart = |group: &LightGroup| Emitters::new(&world, &lighting, LightSettings { group: Some(group), ..settings });
-    let solution = solve_groups(path, &lighting.groups, &apart, weights, options, clock.began, observer)?;
+    let solution = solve_groups(path, &lighting.groups, &apart, weights, options, clock.began, keeping, observer)?;
     LightSeconds {
         direct: seconds.direct,
         photons: seconds.photons,
@@ -121,8 +156,16 @@ fn bake_here<'s>(scene: &'s Scene, options: &BakeOptions, observer: &mut dyn Obs
     report.set_shown(&on_screen);
     let light = [&solution.total, &solution.unsmoothed];
     add_illuminances(&world, &texels, light, &solution.weights, &mut report.meshes);
-    let skips =
-        Skips { visibility: &visibility, lighting: &lighting, atlas: &atlas, texels: &texels, open: &open, pilot };
+    let skips = Skips {
+        visibility: &visibility,
+        lighting: &lighting,
+        atlas: &atlas,
+        texels: &texels,
+        open: &open,
+        pilot,
+        charts_from_cache,
+        kept_rays: solution.kept_rays,
+    };
     report.skips.extend(skips.lines());
     let backs = LitBacks::new(&visibility, &emitters, &solution, options.seed);
     report.warnings.extend(backs.warnings(scene));
@@ -134,6 +177,15 @@ fn bake_here<'s>(scene: &'s Scene, options: &BakeOptions, observer: &mut dyn Obs
     report.seconds = seconds;
     report.warnings.iter().for_each(|w| observer.warn(w));
     Ok(Bake { atlas, lightmap, report, lighting, world, accel, texels, solution, backs })
+}
+
+/// All that the light of a bake depends on, but for where its texels are.
+fn inputs(scene: &Scene, lighting: &Lighting, options: &BakeOptions) -> Digest {
+    let mut digest = Digest::default();
+    scene.feed(&mut digest);
+    lighting.feed(&mut digest);
+    options.feed(&mut digest);
+    digest
 }
 
 /// Direct samples, relative to those of the bake, that may tell what filtering shows.

@@ -52,6 +52,7 @@ pub mod lightmap;
 pub mod output;
 
 mod bisect;
+pub mod cache;
 mod skips;
 pub mod error;
 pub mod observer;
@@ -59,7 +60,8 @@ pub mod options;
 pub mod report;
 pub mod sampling;
 
-pub use bake::{Bake, bake};
+pub use bake::{Bake, bake, bake_with_cache};
+pub use cache::Cache;
 pub use error::{BakeError, SceneError, Warning};
 pub use observer::{NoObserver, Observer};
 pub use options::BakeOptions;

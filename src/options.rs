@@ -1,5 +1,6 @@
 //! What a bake is asked for.
 
+use crate::cache::Digest;
 use crate::error::BakeError;
 use glam::{DVec3, Vec3};
 use std::path::PathBuf;
@@ -105,7 +106,7 @@ impl Default for BakeOptions {
 }
 
 /// Texel density.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, Copy, PartialEq, serde::Serialize, serde::Deserialize)]
 pub enum Density {
     /// Where light needs them, as a pilot finds: on one page of `max_texture` squared, or less where that makes little
     /// difference.
@@ -255,6 +256,23 @@ impl BakeOptions {
     pub fn most_groups(&self) -> usize {
         let names: std::collections::BTreeSet<&str> = self.groups.iter().map(|(group, _)| group.as_str()).collect();
         if names.is_empty() { 0 } else { names.len() + 1 }
+    }
+
+    /// Adds all that the light of a bake depends on, but for where its sky comes from: not what only says when to stop, how
+    /// it is checked, or what is written of it.
+    pub(crate) fn feed(&self, digest: &mut Digest) {
+        let apart = BakeOptions::default();
+        digest.debug(&BakeOptions {
+            target_percent: apart.target_percent,
+            target_mesh_percent: None,
+            time_limit: None,
+            max_photons: None,
+            quantity: apart.quantity,
+            audit: apart.audit,
+            threads: 0,
+            sky: None,
+            ..self.clone()
+        });
     }
 
     /// Whether a pilot says where texels go.

@@ -5,6 +5,7 @@
 
 use crate::accuracy::{DensityGoal, GridFall, TexelWeights, chart_densities};
 use crate::atlas::{Atlas, Texels, Unwrapping, check_memory};
+use crate::cache::{Keeping, Slot};
 use crate::error::BakeError;
 use crate::light::{Emitters, Visibility};
 use crate::lightmap::{GridPoints, Lightmap, coarser};
@@ -37,17 +38,21 @@ const POINTS_PER_TEXEL: usize = 8;
 const MOST_POINTS: usize = 1 << 17;
 
 /// What a pilot says.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, Copy, PartialEq, serde::Serialize, serde::Deserialize)]
 pub struct Pilot {
     /// What the charts are to be laid out with.
     pub density: Density,
     /// Share of the texels that fit a page which is enough.
     pub share: f64,
+    /// An earlier bake looked.
+    #[serde(skip)]
+    pub from_cache: bool,
 }
 
-const NOTHING: Pilot = Pilot { density: Density::Even, share: 1.0 };
+const NOTHING: Pilot = Pilot { density: Density::Even, share: 1.0, from_cache: false };
 
-/// Sets the densities of the charts of `unwrapping`; all remain the same where nothing can be told.
+/// Sets the densities of the charts of `unwrapping`; all remain the same where nothing can be told. What `keeping` has of
+/// an earlier look is taken as it is: texels stay where they were, so that light that is kept fits them.
 ///
 /// # Errors
 /// [`BakeError::Cancelled`].
@@ -57,8 +62,15 @@ pub fn adapt_density(
     emitters: &Emitters,
     options: &BakeOptions,
     began: Instant,
+    keeping: Option<&mut Keeping>,
     observer: &mut dyn Observer,
 ) -> Result<Pilot, BakeError> {
+    let mut slot = keeping.map(|keeping| keeping.slot("density", &()));
+    if let Some((pilot, factors)) = slot.as_mut().and_then(Slot::load::<(Pilot, Vec<f64>)>)
+        && unwrapping.set_densities(&factors)
+    {
+        return Ok(Pilot { from_cache: true, ..pilot });
+    }
     let world = visibility.world;
     let even = unwrapping.even_density(options);
     let sizes = unwrapping.sizes(even, options);
@@ -104,8 +116,9 @@ pub fn adapt_density(
         unwrapping.set_densities(&chosen);
         factors = chosen;
         let density = if share == 1.0 { Density::Even } else { Density::TexelsPerMetre(even) };
-        found = Pilot { density, share };
+        found = Pilot { density, share, from_cache: false };
     }
+    slot.iter_mut().for_each(|slot| slot.keep(&(found, &factors)));
     Ok(found)
 }
 
@@ -123,7 +136,7 @@ fn falls(
     let surface = Surface::new(Texels::new(world, atlas), atlas, visibility, options);
     let path = surface.path(emitters, visibility);
     let weights = TexelWeights::of_values(world, &surface.texels, &surface.open, options.texel_value);
-    let solution = solve(path, weights, options, Instant::now(), &mut Muted(observer))?;
+    let solution = solve(path, weights, options, Instant::now(), None, &mut Muted(observer))?;
     if solution.error.mean <= 0.0 {
         return Ok(None);
     }

@@ -10,7 +10,7 @@ use crate::options::{BakeOptions, Quantity};
 use crate::photon::EnergyLedger;
 use crate::scene::{Scene, World};
 use crate::solve::{GroupSolution, Solution};
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
 
 /// The convergence report. Errors are in percent of the mean irradiance, as the README defines them.
 #[derive(Debug, Clone, Serialize)]
@@ -147,7 +147,7 @@ pub struct Split {
 }
 
 /// State at the end of a round.
-#[derive(Debug, Clone, Copy, Serialize)]
+#[derive(Debug, Clone, Copy, Serialize, Deserialize)]
 pub struct HistoryEntry {
     /// Direct samples of all texels and both halves.
     pub direct_samples: u64,
@@ -300,7 +300,7 @@ pub struct Seconds {
 }
 
 /// When a round ended, and when it foretold the end. Apart from the history, which is the same for every run.
-#[derive(Debug, Clone, Copy, Serialize)]
+#[derive(Debug, Clone, Copy, Serialize, Deserialize)]
 pub struct RoundSeconds {
     /// Seconds from the call to the end of the round.
     pub at: f64,

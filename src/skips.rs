@@ -14,16 +14,39 @@ pub(crate) struct Skips<'a> {
     /// Open share of each texel of the map.
     pub(crate) open: &'a [f32],
     pub(crate) pilot: Option<Pilot>,
+    /// Charts were those of an earlier bake.
+    pub(crate) charts_from_cache: bool,
+    /// Rays of earlier bakes.
+    pub(crate) kept_rays: u64,
 }
 
 impl Skips<'_> {
     /// One line for each, with what it saved.
     pub(crate) fn lines(&self) -> Vec<String> {
         let scene = self.visibility.world.scene;
-        [self.spare_texels(), self.unseen_nodes(scene), self.buried_charts(), images(scene), self.lights()]
-            .into_iter()
-            .flatten()
-            .collect()
+        [
+            self.kept_charts(),
+            self.kept_light(),
+            self.spare_texels(),
+            self.unseen_nodes(scene),
+            self.buried_charts(),
+            images(scene),
+            self.lights(),
+        ]
+        .into_iter()
+        .flatten()
+        .collect()
+    }
+
+    fn kept_charts(&self) -> Option<String> {
+        let looked = self.pilot.is_some_and(|p| p.from_cache);
+        let places = if looked { ", and where texels are needed," } else { "" };
+        self.charts_from_cache.then(|| format!("unwrapping: the charts{places} are those of an earlier bake"))
+    }
+
+    fn kept_light(&self) -> Option<String> {
+        let rays = self.kept_rays as f64 / 1e6;
+        (self.kept_rays > 0).then(|| format!("light: {rays:.1} M rays are those of earlier bakes"))
     }
 
     fn spare_texels(&self) -> Option<String> {

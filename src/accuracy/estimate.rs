@@ -133,7 +133,7 @@ pub struct TexelError {
 
 /// Squared error that halves do not show: what is finer than the photons can tell is smoothed away in both, and cells
 /// too fine for their noise hide their bias. An audit finds it.
-#[derive(Debug, Clone, Copy, Default, PartialEq)]
+#[derive(Debug, Clone, Copy, Default, PartialEq, serde::Serialize, serde::Deserialize)]
 pub struct Unseen {
     /// Its square, in percent squared.
     pub square: f64,

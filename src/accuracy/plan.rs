@@ -17,7 +17,7 @@ const FALL_WEIGHT: f64 = 1.0;
 const FALL_RANGE: std::ops::RangeInclusive<f64> = 0.3..=1.5;
 
 /// How the squared error of smoothed light falls with the work, as work^-exponent: what rounds have shown of it.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, Copy, PartialEq, serde::Serialize, serde::Deserialize)]
 pub struct Fall {
     weight: f64,
     sum: f64,

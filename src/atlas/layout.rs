@@ -3,10 +3,12 @@
 use super::chart::charts_of;
 use super::density::{Layout, Unit, UnitLayout, full_density, lay_out};
 use super::select::{Selected, select};
+use super::unwrap;
 use super::unwrap::{IGNORED, JoinedMesh, Limits, UnwrapError, Unwrapped, Unwrapper, default_time_limit, unwrap_mesh};
 use super::uvunwrap::Uvunwrap;
 use super::xatlas::XatlasWorker;
 use super::{Atlas, MeshLayout, NO_CHART, Placement, PrimitiveLayout, keep};
+use crate::cache::{Cache, Digest, Key, Slot};
 use crate::error::{BakeError, Warning};
 use crate::options::{self, BakeOptions, Density, UvSource};
 use crate::scene::{Instance, Mesh, Scene};
@@ -39,7 +41,7 @@ pub fn build(scene: &Scene, options: &BakeOptions, cancelled: &(dyn Fn() -> bool
             check_options(options)?;
             keep::keep(scene, options, &select(scene, options)?.baked)
         }
-        UvSource::Generate => Unwrapping::new(scene, options, cancelled)?.lay_out(options, cancelled),
+        UvSource::Generate => Unwrapping::new(scene, options, None, cancelled)?.lay_out(options, cancelled),
     }
 }
 
@@ -82,16 +84,20 @@ pub struct Unwrapping<'s> {
     warnings: Vec<Warning>,
     unseen: Vec<usize>,
     deadline: Option<Instant>,
+    /// Nothing had to be cut.
+    pub(crate) from_cache: bool,
 }
 
 impl<'s> Unwrapping<'s> {
-    /// Cuts and flattens what is to be baked; as [`build`], which says what may fail.
+    /// Cuts and flattens what is to be baked, or takes from `cache` what was made of the same meshes before; as [`build`],
+    /// which says what may fail.
     ///
     /// # Errors
     /// Those of [`build`].
     pub fn new(
         scene: &'s Scene,
         options: &BakeOptions,
+        cache: Option<&mut dyn Cache>,
         cancelled: &(dyn Fn() -> bool + Sync),
     ) -> Result<Unwrapping<'s>, BakeError> {
         check_options(options)?;
@@ -112,7 +118,14 @@ impl<'s> Unwrapping<'s> {
         }
         let mut units: Vec<Unit> = shared.iter().map(|s| unit(scene, s, &densities)).collect();
         let joined = joined_meshes(scene, &shared, &units, options);
-        let unwrapped = unwrap_all(&joined, options, deadline, cancelled)?;
+        let mut slot = cache.map(|cache| Slot { cache, key: key_of(&joined, options) });
+        let kept = slot.as_mut().and_then(|slot| kept_charts(slot, &joined));
+        let from_cache = kept.is_some();
+        let unwrapped = match kept {
+            Some(kept) => kept,
+            None => unwrap_all(&joined, options, deadline, cancelled)?,
+        };
+        slot.iter_mut().filter(|_| !from_cache).for_each(|slot| keep_charts(slot, &unwrapped));
         let mut meshes = Vec::with_capacity(shared.len());
         for (unit, (unwrapped, found)) in units.iter_mut().zip(unwrapped) {
             warnings.extend(found);
@@ -126,7 +139,7 @@ impl<'s> Unwrapping<'s> {
                 scene.name
             )));
         }
-        Ok(Unwrapping { scene, shared, units, meshes, warnings, unseen, deadline })
+        Ok(Unwrapping { scene, shared, units, meshes, warnings, unseen, deadline, from_cache })
     }
 
     /// Gives every chart its place, as `options` ask (`density`, `max_texture`, `max_pages`, `gutter`).
@@ -233,6 +246,41 @@ fn joined_meshes(scene: &Scene, shared: &[Shared], units: &[Unit], options: &Bak
     };
     meshes.iter_mut().zip(units).for_each(|(m, u)| m.texels_per_metre = density * u.density);
     meshes
+}
+
+/// What charts are kept by: the meshes that they are cut from, and what cuts them.
+fn key_of(meshes: &[JoinedMesh], options: &BakeOptions) -> Key {
+    let mut digest = Digest::default();
+    meshes.iter().for_each(|mesh| mesh.feed(&mut digest));
+    digest.debug(&options.unwrapper);
+    digest.key("charts")
+}
+
+/// Charts and (code, message) of the warnings of each mesh.
+type KeptCharts = Vec<(Unwrapped, Vec<(String, String)>)>;
+
+/// Charts that were kept of these very meshes, whose names may be others than then.
+fn kept_charts(slot: &mut Slot, meshes: &[JoinedMesh]) -> Option<Vec<(Unwrapped, Vec<Warning>)>> {
+    let kept: KeptCharts = slot.load()?;
+    let fits = |(mesh, (charts, _)): (&JoinedMesh, &(Unwrapped, _))| {
+        charts.triangles.len() == mesh.triangles.len() && charts.charts.len() == mesh.triangles.len()
+    };
+    if kept.len() != meshes.len() || !meshes.iter().zip(&kept).all(fits) {
+        return None;
+    }
+    let warning = |(code, message): (String, String)| Some(Warning::new(unwrap::known_code(&code)?, message));
+    Some(kept.into_iter().map(|(c, warnings)| (c, warnings.into_iter().filter_map(warning).collect())).collect())
+}
+
+/// Keeps charts, unless the clock had a part in them: others may come out the next time.
+fn keep_charts(slot: &mut Slot, charts: &[(Unwrapped, Vec<Warning>)]) {
+    if charts.iter().flat_map(|c| &c.1).any(|w| unwrap::BY_THE_CLOCK.contains(&w.code)) {
+        return;
+    }
+    let of = |w: &Warning| (w.code.to_string(), w.message.clone());
+    let kept: Vec<(&Unwrapped, Vec<(String, String)>)> =
+        charts.iter().map(|(c, warnings)| (c, warnings.iter().map(of).collect())).collect();
+    slot.keep(&kept);
 }
 
 fn unwrap_all(

@@ -31,6 +31,7 @@ pub use texels::{NO_TEXEL, Piece, Texel, Texels};
 pub use uvunwrap::{Uvunwrap, silence_unwrapper_panics};
 pub use xatlas::{WORKER_COMMAND, XatlasWorker, worker_main};
 
+use crate::cache::Digest;
 use crate::error::Warning;
 use glam::Vec2;
 
@@ -102,6 +103,16 @@ pub struct Atlas {
 }
 
 impl Atlas {
+    /// Adds where all texels are.
+    pub(crate) fn feed(&self, digest: &mut Digest) {
+        digest.debug(&(&self.pages, &self.placements, &self.first_chart));
+        for p in self.meshes.iter().flatten().flat_map(|mesh| &mesh.primitives) {
+            digest.values(&p.uvs);
+            digest.values(&p.triangles);
+            digest.values(&p.charts);
+        }
+    }
+
     /// Texel coordinates on its page of a triangle's corners and its global chart; `None` where the triangle
     /// has no place on the map. `primitive` and `index` as in [`TriangleRef`](crate::scene::TriangleRef).
     pub fn texel_coordinates(

@@ -71,9 +71,13 @@ impl Unwrapping<'_> {
         out
     }
 
-    /// Sets the density of each chart of all meshes, relative to the even one.
-    pub fn set_densities(&mut self, factors: &[f64]) {
+    /// Sets the density of each chart of all meshes, relative to the even one; whether there are as many of them.
+    pub fn set_densities(&mut self, factors: &[f64]) -> bool {
+        if factors.len() != self.units.iter().map(|u| u.factors.len()).sum::<usize>() {
+            return false;
+        }
         let mut factors = factors.iter();
         self.units.iter_mut().for_each(|u| u.factors.iter_mut().zip(&mut factors).for_each(|(to, f)| *to = *f));
+        true
     }
 }

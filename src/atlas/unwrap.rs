@@ -10,6 +10,7 @@ use super::NO_CHART;
 use super::check::{self, PlaneTriangle};
 use super::pieces::{Piece, Source, halves, pieces, weld};
 use super::planar::Lean;
+use crate::cache::Digest;
 use crate::error::Warning;
 use glam::{DVec2, DVec3, Vec3};
 use rayon::prelude::*;
@@ -29,7 +30,7 @@ pub struct UnwrapInput {
 }
 
 /// A vertex on the map.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, Copy, PartialEq, serde::Serialize, serde::Deserialize)]
 pub struct UnwrappedVertex {
     /// The input vertex it copies.
     pub source: u32,
@@ -38,7 +39,7 @@ pub struct UnwrappedVertex {
 }
 
 /// A mesh cut into charts, each in its own plane.
-#[derive(Debug, Clone, Default, PartialEq)]
+#[derive(Debug, Clone, Default, PartialEq, serde::Serialize, serde::Deserialize)]
 pub struct Unwrapped {
     /// Vertices; those of different charts are different.
     pub vertices: Vec<UnwrappedVertex>,
@@ -122,11 +123,29 @@ pub struct JoinedMesh {
 }
 
 impl JoinedMesh {
+    /// Adds all that its charts depend on.
+    pub(super) fn feed(&self, digest: &mut Digest) {
+        digest.values(&self.positions);
+        digest.values(&self.triangles);
+        digest.values(&self.groups);
+        digest.debug(&self.texels_per_metre);
+    }
+
     /// Area of the triangles that get charts (m2).
     pub fn area(&self) -> f64 {
         let counts = |t: &u32| self.groups[*t as usize] != IGNORED;
         (0..self.triangles.len() as u32).filter(counts).map(|t| area_of(self, t)).filter(|a| a.is_finite()).sum()
     }
+}
+
+/// Warnings of charts that are as they are because time ran out, or a child process ended.
+pub(super) const BY_THE_CLOCK: [&str; 3] = ["unwrap-time-limit", "unwrapper-timed-out", "unwrapper-crashed"];
+
+/// The code of a warning of this module that was written down as `code`.
+pub(super) fn known_code(code: &str) -> Option<&'static str> {
+    let others =
+        ["unwrapper-failed", "unwrapper-dropped", "unwrapper-faulty", "non-finite-triangles", "degenerate-triangles"];
+    others.into_iter().find(|known| *known == code)
 }
 
 /// The group of triangles that get no chart on purpose.

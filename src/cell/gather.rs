@@ -46,7 +46,7 @@ pub struct Gather<'a> {
 }
 
 /// What one texel gathered from one half.
-#[derive(Debug, Clone, Copy, Default)]
+#[derive(Debug, Clone, Copy, Default, serde::Serialize, serde::Deserialize)]
 pub struct Gathered {
     /// Indirect irradiance (lux) of its open part.
     pub light: Vec3,

@@ -181,11 +181,15 @@ pub struct BakeArgs {
     /// Worker threads; 0: one per core. The result is the same.
     #[arg(long, default_value_t = 0, help_heading = "Run")]
     threads: usize,
-    /// (not built yet) Keep unwraps and hierarchies here.
-    #[arg(long, help_heading = "Run")]
+    /// Keep charts and light in this folder, and use what is there: a bake that was stopped or killed goes on where it was
+    /// (work is kept every two minutes), and one with a lower target from what the last one found.
+    #[arg(long, value_name = "DIR", help_heading = "Run")]
     cache: Option<PathBuf>,
-    /// (not built yet) Go on from a state file.
-    #[arg(long, help_heading = "Run")]
+    /// Most that this folder may hold; what was not used for longest goes [GiB].
+    #[arg(long, default_value_t = 16.0, help_heading = "Run")]
+    cache_limit: f64,
+    /// The same as --cache with the folder `.cache` among the results.
+    #[arg(long, conflicts_with = "cache", help_heading = "Run")]
     resume: bool,
     /// (not built yet) Bake along a plan.
     #[arg(long, help_heading = "Run")]
@@ -205,6 +209,19 @@ pub struct BakeArgs {
 }
 
 impl BakeArgs {
+    /// The cache and the most bytes that it may hold, if there is to be one.
+    ///
+    /// # Errors
+    /// [`BakeError::Options`] where that is no size.
+    pub fn cache(&self) -> Result<Option<(PathBuf, u64)>, BakeError> {
+        let limit = self.cache_limit;
+        if !(limit >= 0.0 && limit.is_finite()) {
+            return Err(BakeError::Options(format!("--cache-limit {limit}: must be a number of GiB from 0")));
+        }
+        let folder = if self.resume { Some(self.out.join(".cache")) } else { self.cache.clone() };
+        Ok(folder.map(|folder| (folder, (limit * f64::from(1 << 30)) as u64)))
+    }
+
     /// Options out of flags.
     ///
     /// # Errors
@@ -280,8 +297,6 @@ impl BakeArgs {
     fn refuse_what_is_not_built(&self) -> Result<(), BakeError> {
         let asked = [
             (self.texel_value == "fit", "--texel-value fit"),
-            (self.cache.is_some(), "--cache"),
-            (self.resume, "--resume"),
             (self.plan.is_some(), "--plan"),
             (self.shard.is_some(), "--shard"),
             (self.scene.len() > 1, "more than one scene"),

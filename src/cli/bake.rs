@@ -4,6 +4,7 @@ use super::args::BakeArgs;
 use super::config::Config;
 use super::terminal::Terminal;
 use evenlight::backs::LIT_FROM_BEHIND;
+use evenlight::output::cache_folder::CacheFolder;
 use evenlight::output::glb::{self, GlbOptions};
 use evenlight::output::lightmap_exr::{self, ExrSettings};
 use evenlight::output::manifest::{Manifest, ManifestInputs};
@@ -12,7 +13,7 @@ use evenlight::output::{Staging, preview, report_html, write_atomically};
 use evenlight::report::Report;
 use evenlight::scene::gltf::LoadOptions;
 use evenlight::scene::{Camera, Projection, Scene};
-use evenlight::{Bake, BakeError, BakeOptions, bake};
+use evenlight::{Bake, BakeError, BakeOptions, Observer, bake, bake_with_cache};
 use std::path::{Path, PathBuf};
 
 /// Pixels of the longer side of a view.
@@ -27,6 +28,7 @@ pub fn run(args: &BakeArgs, config: Config) -> Result<u8, BakeError> {
     let options = args.options().map_err(located)?;
     let layers = args.layers().map_err(located)?;
     let more = args.changes().map_err(located)?;
+    let cached = args.cache().map_err(located)?;
     let mut changes = config.changes;
     changes.lights.extend(more.lights);
     let mut scene = Scene::from_gltf_with(&args.scene[0], &LoadOptions { variant: args.variant.clone() })?;
@@ -36,9 +38,21 @@ pub fn run(args: &BakeArgs, config: Config) -> Result<u8, BakeError> {
     let mut staging = Staging::new(&args.out)?;
 
     let mut terminal = Terminal::new();
-    let result = bake(&scene, &options, &mut terminal);
+    let mut cache = cached.as_ref().map(|(folder, most)| CacheFolder::open(folder, *most)).transpose()?;
+    let result = match &mut cache {
+        Some(cache) => bake_with_cache(&scene, &options, cache, &mut terminal),
+        None => bake(&scene, &options, &mut terminal),
+    };
     terminal.finish();
+    if let (Err(BakeError::Cancelled), Some((folder, _))) = (&result, &cached) {
+        eprintln!("the work so far is kept in {}; the same command goes on from it", folder.display());
+    }
     let mut bake = result?;
+    if let Some(cache) = &mut cache {
+        cache.trim();
+        cache.warnings.iter().for_each(|w| terminal.warn(w));
+        bake.report.warnings.append(&mut cache.warnings);
+    }
     bake.report.peak_memory_bytes = peak_memory();
 
     let exr = ExrSettings {

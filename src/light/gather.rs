@@ -10,6 +10,7 @@ use crate::sampling::{DIMENSIONS, Stream, hash_mix, hash_seed, sobol, unit_f32};
 use crate::scene::SurfaceFlags;
 use glam::{Vec2, Vec3};
 use rayon::prelude::*;
+use serde::{Deserialize, Serialize};
 
 /// Start points kept per texel and half.
 pub const START_SLOTS: usize = 2;
@@ -19,7 +20,7 @@ const CHUNK: usize = 256;
 
 /// A point that photons start from, drawn among the texel's direct samples in proportion to the largest
 /// channel of B = rho E there (weighted reservoir sampling: Chao 1982).
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct StartSlot {
     /// Triangle id.
     pub triangle: u32,
@@ -58,7 +59,7 @@ impl StartSlot {
 }
 
 /// A direction on an octahedron's net (Cigolle et al., JCGT 2014), within 5e-5 rad of the one packed.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 struct PackedWay([i16; 2]);
 
 impl PackedWay {
@@ -188,7 +189,7 @@ impl TexelLight<'_> {
 }
 
 /// One half of one texel: sums over its samples.
-#[derive(Debug, Clone, Copy)]
+#[derive(Debug, Clone, Copy, Serialize, Deserialize)]
 struct HalfTexel {
     samples: u32,
     /// Stored irradiance.
@@ -216,7 +217,7 @@ impl HalfTexel {
 }
 
 /// Sums over the samples that every texel takes the same number of.
-#[derive(Debug, Clone, Copy)]
+#[derive(Debug, Clone, Copy, Serialize, Deserialize)]
 struct Steering {
     /// Stored irradiance.
     stored: Vec3,
@@ -256,7 +257,7 @@ pub struct Growth<'a> {
 }
 
 /// Direct light of all texels, gathered so far.
-#[derive(Debug)]
+#[derive(Debug, Serialize, Deserialize)]
 pub struct Direct {
     halves: [Vec<HalfTexel>; 2],
     samples: u64,
@@ -278,6 +279,11 @@ impl Direct {
 
     /// Bytes per texel of both halves.
     pub const BYTES_PER_TEXEL: usize = 2 * size_of::<HalfTexel>();
+
+    /// Texels.
+    pub fn texels(&self) -> usize {
+        self.halves[0].len().min(self.halves[1].len())
+    }
 
     /// Samples of all texels and both halves so far.
     pub fn all_samples(&self) -> u64 {

@@ -1,6 +1,7 @@
 //! The lights of a bake: those of the scene, and those that the options add.
 
 use super::groups::LightGroup;
+use crate::cache::Digest;
 use crate::error::{BakeError, Warning};
 use crate::options::{BakeOptions, SkySource};
 use crate::scene::{BakeMode, ClearSky, Light, LightKind, Scene, Sky};
@@ -22,6 +23,12 @@ pub struct Lighting {
 }
 
 impl Lighting {
+    /// Adds all that shines besides emissive surfaces.
+    pub(crate) fn feed(&self, digest: &mut Digest) {
+        digest.debug(&(&self.lights, &self.groups));
+        self.sky.iter().for_each(|sky| sky.feed(digest));
+    }
+
     /// The lights of `scene` with the sky and sun of `options`. A sky in the options replaces the scene's.
     ///
     /// # Errors

@@ -1,8 +1,9 @@
 //! 9. Files: lightmaps, the scene with its lightmap UVs, manifest, report, previews.
 //!
 //! In: a finished bake. Out: files, each written beside its final name and renamed when complete; a staging
-//! does the same for all of a folder. The only place below the command line that writes.
+//! does the same for all of a folder. A cache keeps what other bakes may use. The only place below the command line that writes.
 
+pub mod cache_folder;
 mod files;
 pub mod glb;
 pub mod lightmap_exr;

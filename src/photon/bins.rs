@@ -4,6 +4,7 @@ use crate::atlas::Texels;
 use crate::light::cover_in_part;
 use crate::scene::World;
 use glam::{Vec2, Vec3};
+use serde::{Deserialize, Serialize};
 use std::sync::atomic::{AtomicI64, Ordering::Relaxed};
 
 /// A photon meeting a surface.
@@ -46,6 +47,12 @@ pub struct Bins<'t> {
     texels: &'t Texels,
     world: &'t World<'t>,
     open: &'t [f32],
+    sums: Sums,
+}
+
+/// What is in the bins.
+#[derive(Debug, Default, Serialize, Deserialize)]
+pub struct Sums {
     halves: [Vec<[AtomicI64; 3]>; 2],
     /// The same for light that came over mirrors and through glass alone, of all texels, on the map or not; empty where
     /// nothing is specular.
@@ -65,12 +72,28 @@ impl<'t> Bins<'t> {
         let all = if world.is_specular() { texels.texels.len() } else { 0 };
         let caustics = [empty(all), empty(all)];
         let backs = (0..world.len()).map(|_| AtomicI64::new(0)).collect();
-        Bins { texels, world, open, halves: [empty(texels.mapped), empty(texels.mapped)], caustics, backs }
+        let sums = Sums { halves: [empty(texels.mapped), empty(texels.mapped)], caustics, backs };
+        Bins { texels, world, open, sums }
+    }
+
+    /// What is in them.
+    pub fn sums(&self) -> &Sums {
+        &self.sums
+    }
+
+    /// Puts in what bins of the same texels held; whether these were such.
+    pub fn put(&mut self, sums: Sums) -> bool {
+        let lengths = |s: &Sums| [&s.halves[0], &s.halves[1], &s.caustics[0], &s.caustics[1]].map(Vec::len);
+        let fit = lengths(&sums) == lengths(&self.sums) && sums.backs.len() == self.sums.backs.len();
+        if fit {
+            self.sums = sums;
+        }
+        fit
     }
 
     /// Flux over the three channels that the back of each triangle took up.
     pub fn back_flux(&self) -> Vec<i64> {
-        self.backs.iter().map(|b| b.load(Relaxed)).collect()
+        self.sums.backs.iter().map(|b| b.load(Relaxed)).collect()
     }
 
     /// Whether a photon comes from a surface that lies upon the texel of the map.
@@ -82,22 +105,22 @@ impl<'t> Bins<'t> {
 
     /// Flux of light that was reflected diffusely at least once, of a texel, one half.
     pub fn flux(&self, half: usize, texel: usize) -> [i64; 3] {
-        sum_of(&self.halves[half][texel])
+        sum_of(&self.sums.halves[half][texel])
     }
 
     /// Empties the bins of such light.
     pub fn forget_caustics(&mut self) {
-        self.caustics.iter_mut().flatten().flatten().for_each(|bin| *bin.get_mut() = 0);
+        self.sums.caustics.iter_mut().flatten().flatten().for_each(|bin| *bin.get_mut() = 0);
     }
 
     /// Whether any light came over mirrors or through glass alone.
     pub fn has_caustics(&self) -> bool {
-        self.caustics.iter().flatten().any(|bin| sum_of(bin) != [0; 3])
+        self.sums.caustics.iter().flatten().any(|bin| sum_of(bin) != [0; 3])
     }
 
     /// Flux of such light, of any texel.
     pub fn caustic_flux(&self, half: usize, texel: usize) -> [i64; 3] {
-        self.caustics[half].get(texel).map_or([0; 3], sum_of)
+        self.sums.caustics[half].get(texel).map_or([0; 3], sum_of)
     }
 }
 
@@ -108,10 +131,10 @@ fn sum_of(bin: &[AtomicI64; 3]) -> [i64; 3] {
 impl DepositSink for Bins<'_> {
     fn take(&self, half: usize, trail: &Trail) {
         for &(triangle, flux) in &trail.backs {
-            self.backs[triangle as usize].fetch_add(flux as i64, Relaxed);
+            self.sums.backs[triangle as usize].fetch_add(flux as i64, Relaxed);
         }
         for d in &trail.deposits {
-            let bins = if d.caustic { &self.caustics[half] } else { &self.halves[half] };
+            let bins = if d.caustic { &self.sums.caustics[half] } else { &self.sums.halves[half] };
             if let Some(texel) = self.texels.at(d.triangle, d.back, d.uv).map(|t| t as usize)
                 && let Some(bin) = bins.get(texel)
                 && (texel >= self.texels.mapped || !self.cover_sends(texel, d))

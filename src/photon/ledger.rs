@@ -1,11 +1,11 @@
 //! Where all the light went, in exact integers.
 
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
 use std::ops::AddAssign;
 
 /// Flux per channel in the integer unit of the bake. Always
 /// `emitted + roulette = absorbed + back_absorbed + escaped + cut`.
-#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize)]
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct EnergyLedger {
     /// Sent out by photons at their start.
     pub emitted: [i128; 3],

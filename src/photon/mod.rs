@@ -14,7 +14,7 @@ mod net;
 mod start;
 mod walk;
 
-pub use bins::{Bins, Deposit, DepositSink, Trail};
+pub use bins::{Bins, Deposit, DepositSink, Sums, Trail};
 pub use ledger::EnergyLedger;
 pub use net::{Flux, Shooting};
 pub use start::StartTable;

@@ -22,7 +22,7 @@ const CHUNK: u32 = 2048;
 
 /// The integer unit of flux of a bake: a power of two, so that scaling every light by a power of two changes
 /// no integer.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, Copy, PartialEq, serde::Serialize, serde::Deserialize)]
 pub struct Flux {
     /// Flux of one integer step [lux x frame units squared].
     pub unit: f64,

@@ -1,5 +1,6 @@
 //! Radiance on the faces of a cube.
 
+use crate::cache::Digest;
 use glam::{Quat, Vec3};
 use std::sync::Arc;
 
@@ -46,6 +47,12 @@ impl CubeMap {
     /// The same faces with other texels, turned by `turn`.
     pub(crate) fn turned(&self, turn: Quat, radiance: Arc<[Vec3]>) -> CubeMap {
         CubeMap { size: self.size, radiance, cube_from_world: self.cube_from_world * turn.conjugate() }
+    }
+
+    /// Adds its radiance and how it is turned.
+    pub(crate) fn feed(&self, digest: &mut Digest) {
+        digest.debug(&(self.size, self.cube_from_world));
+        digest.values(&self.radiance);
     }
 
     /// Texels along an edge of a face.

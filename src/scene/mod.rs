@@ -11,6 +11,7 @@
 mod change;
 mod clear_sky;
 mod cube_map;
+mod fingerprint;
 pub mod gltf;
 mod ies;
 mod light;

@@ -24,6 +24,9 @@ impl Solver<'_, '_> {
         let (rays, late) = (self.rays(), || self.out_of_time());
         let audit = audit(&self.path, solution, self.options, rays, &*self.observer, &late);
         self.seconds.audit += started.elapsed().as_secs_f64();
+        if audit.is_err() {
+            self.keep();
+        }
         audit
     }
 
@@ -31,10 +34,10 @@ impl Solver<'_, '_> {
     pub(super) fn believe_audit(&mut self, solution: &mut Solution) {
         let Some(unseen) = solution.found_unseen(solution.photons) else { return };
         solution.error = solution.error.raised(&unseen);
-        if let Some(last) = self.history.last_mut() {
+        if let Some(last) = self.course.history.last_mut() {
             (last.percent, last.low, last.high) = (solution.error.percent, solution.error.low, solution.error.high);
         }
-        self.unseen = Some(unseen);
+        self.course.unseen = Some(unseen);
     }
 }
 

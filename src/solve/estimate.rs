@@ -101,7 +101,7 @@ impl Solver<'_, '_> {
             more_variance: gathered.variance,
             start_noise: self.start_noise(),
         });
-        let error = self.unseen.map_or(error, |unseen| error.with(&unseen, self.diffuse.photons * 2));
+        let error = self.course.unseen.map_or(error, |unseen| error.with(&unseen, self.diffuse.photons * 2));
         let (target, mesh_target) = (self.options.target_percent, self.options.mesh_target());
         let all_biases: Vec<Bias> = biases.iter().zip(&gathered.biases).map(|(a, b)| a.plus(b)).collect();
         let (meshes, area_within_target) =
@@ -124,7 +124,7 @@ impl Solver<'_, '_> {
                 indirect: indirect * square,
                 caustic: caustic * square,
                 texels: m.texels,
-                gathered: self.gathered[m.instance],
+                gathered: self.course.gathered[m.instance],
                 of_rays: of_rays.min(indirect) * square,
                 smooths: self.options.smoothing != Smoothing::None,
             }
@@ -163,13 +163,14 @@ impl Solver<'_, '_> {
             photons: self.diffuse.photons * 2,
             caustic_photons: self.caustics.photons * 2,
             caustic_rays: self.caustics.ledger.rays,
-            gather_rays: self.gather_rays,
+            gather_rays: self.gathering.rays,
             gathered_meshes: (0..instances).filter(|&i| self.has_gathered(i)).count(),
+            kept_rays: self.earlier.rays,
             ledger: self.diffuse.ledger,
             reflected: self.diffuse.ledger.emitted.iter().sum::<i128>() as f64 * step,
             back_flux: self.bins.back_flux().into_iter().map(|flux| flux as f64 * step).collect(),
             unit: self.diffuse.flux.map_or(0.0, |f| f.unit),
-            seconds: self.seconds,
+            seconds: self.seconds.since(&self.earlier.seconds),
         })
     }
 
@@ -187,13 +188,13 @@ impl Solver<'_, '_> {
         let mean = (0..weight.len()).map(light).sum::<f64>() / all.max(1e-300);
         let raw_noise = noise(&raw);
         let under_sky = self.path.emitters.sky().is_some();
-        let share = if self.smooths_direct == Some(true) || under_sky { SMOOTH_WHILE } else { SMOOTH_FROM };
+        let share = if self.course.smooths_direct == Some(true) || under_sky { SMOOTH_WHILE } else { SMOOTH_FROM };
         let allowed = all * (share * self.options.target_percent / 100.0 * mean).powi(2);
         // Under lamps alone a second look at a scene is much better than the first.
-        let early = self.history.is_empty() && !under_sky;
+        let early = self.course.history.is_empty() && !under_sky;
         if raw_noise > allowed
             && !early
-            && self.smooths_direct != Some(false)
+            && self.course.smooths_direct != Some(false)
             && let Some(light) = self.soft_light()
         {
             let soft = Soft { halves: self.texel_halves(&light.found), light };
@@ -201,11 +202,11 @@ impl Solver<'_, '_> {
             let texel_weight = |k: usize| weight[tree.elements[k].texel as usize];
             let bias = soft.light.compared(tree).bias(&soft.light.found.blocks, u32::MAX, texel_weight);
             let left = noise(&apart.plus(&soft.halves)) + bias.likely();
-            let gain = if self.smooths_direct == Some(true) { SMOOTH_KEEP } else { SMOOTH_GAIN };
+            let gain = if self.course.smooths_direct == Some(true) { SMOOTH_KEEP } else { SMOOTH_GAIN };
             let gains = left < gain * raw_noise;
             // The more samples there are, the less there is to gain; but those of the first round tell little.
-            if gains || !self.history.is_empty() {
-                self.smooths_direct = Some(gains);
+            if gains || !self.course.history.is_empty() {
+                self.course.smooths_direct = Some(gains);
             }
             if gains {
                 return DirectLight { apart, soft: Some(soft) };
@@ -262,11 +263,11 @@ impl Solver<'_, '_> {
 
     /// Squared error that too few gather rays leave in each instance, times its weight.
     fn gather_noise(&self, weights: &TexelWeights) -> Vec<f64> {
-        let mut sums = vec![0.0; self.gathered.len()];
+        let mut sums = vec![0.0; self.course.gathered.len()];
         // In the order of the texels, so that the sums have the same bits on every run.
-        for e in self.path.surface.tree.elements.iter().filter(|_| !self.kept.is_empty()) {
+        for e in self.path.surface.tree.elements.iter().filter(|_| !self.gathering.kept.is_empty()) {
             let i = e.texel as usize;
-            if let Some(halves) = weights.weight.get(i).and_then(|_| self.kept.get(&e.texel)) {
+            if let Some(halves) = weights.weight.get(i).and_then(|_| self.gathering.kept.get(&e.texel)) {
                 let variance = halves.iter().map(|g| f64::from(g.variance)).sum::<f64>() / 4.0;
                 sums[weights.instance[i] as usize] += weights.weight[i] * variance;
             }

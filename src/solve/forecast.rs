@@ -5,6 +5,7 @@ use super::{LEAST_NET_BITS, MOST_REDUCTION, Round, Solution, Solver};
 use crate::accuracy::{Fall, GATHER_RAY_COST};
 use crate::error::BakeError;
 use crate::observer::{Progress, Remaining};
+use serde::{Deserialize, Serialize};
 
 /// Share of a time limit that light may take: the maps are yet to be made.
 const TIME_SHARE: f64 = 0.98;
@@ -20,7 +21,7 @@ const LEAST_SPREAD: f64 = 0.15;
 const MESH_SPREAD: f64 = 0.4;
 
 /// Seconds that light took, by kinds of work.
-#[derive(Debug, Clone, Copy, Default)]
+#[derive(Debug, Clone, Copy, Default, Serialize, Deserialize)]
 pub struct LightSeconds {
     /// Direct samples.
     pub direct: f64,
@@ -35,6 +36,17 @@ pub struct LightSeconds {
 }
 
 impl LightSeconds {
+    /// Without those of `earlier`, which are in them.
+    pub(super) fn since(&self, earlier: &LightSeconds) -> LightSeconds {
+        LightSeconds {
+            direct: self.direct - earlier.direct,
+            photons: self.photons - earlier.photons,
+            gather: self.gather - earlier.gather,
+            estimate: self.estimate - earlier.estimate,
+            audit: self.audit - earlier.audit,
+        }
+    }
+
     /// Of both.
     pub(super) fn plus(&self, o: &LightSeconds) -> LightSeconds {
         LightSeconds {
@@ -92,7 +104,7 @@ pub(super) struct Outlook {
 }
 
 /// A state of the solution that later ones are compared with.
-#[derive(Debug, Clone, Copy)]
+#[derive(Debug, Clone, Copy, Serialize, Deserialize)]
 struct Mark {
     soft: f64,
     indirect: f64,
@@ -102,7 +114,7 @@ struct Mark {
 }
 
 /// How the errors of smoothed light fall.
-#[derive(Debug, Clone, Copy)]
+#[derive(Debug, Clone, Copy, Serialize, Deserialize)]
 pub(super) struct Falls {
     pub(super) soft: Fall,
     pub(super) indirect: Fall,
@@ -129,15 +141,15 @@ impl Solver<'_, '_> {
     /// Learns from a round how errors fall. That of the first, of a few samples each, is itself not known well: nothing
     /// is learnt from it.
     pub(super) fn learn(&mut self, solution: &Solution) {
-        if self.history.is_empty() {
+        if self.course.history.is_empty() {
             return;
         }
-        self.falls.learn(Mark {
+        self.course.falls.learn(Mark {
             soft: solution.squares.soft,
             indirect: solution.by_photons,
             samples: self.direct.all_samples() as f64,
             photons: self.diffuse.photons as f64,
-            gather_rays: self.gather_rays,
+            gather_rays: self.gathering.rays,
         });
     }
 
@@ -173,7 +185,7 @@ impl Solver<'_, '_> {
             target: self.options.target_percent,
             rays,
             rays_per_second: if tracing > 0.0 { rays as f64 / tracing } else { 0.0 },
-            elapsed: self.began.elapsed().as_secs_f64(),
+            elapsed: self.earlier.elapsed + self.began.elapsed().as_secs_f64(),
             remaining,
         };
         self.observer.progress(&progress);
@@ -191,7 +203,7 @@ impl Solver<'_, '_> {
     }
 
     fn seconds_per_estimate(&self) -> f64 {
-        self.seconds.estimate / self.history.len().max(1) as f64
+        self.seconds.estimate / self.course.history.len().max(1) as f64
     }
 
     /// As much of a round as there is time for: of the meshes that are to gather, the cheapest first as they are, those
@@ -215,7 +227,7 @@ impl Solver<'_, '_> {
         Work {
             samples: self.direct.all_samples() as f64,
             photon_rays: self.photon_rays() as f64,
-            gather_rays: self.gather_rays as f64,
+            gather_rays: self.gathering.rays as f64,
         }
     }
 
@@ -236,7 +248,7 @@ impl Solver<'_, '_> {
         Work {
             samples: self.seconds.direct / done.samples.max(1.0),
             photon_rays,
-            gather_rays: match self.gather_rays {
+            gather_rays: match self.gathering.rays {
                 0 => GATHER_RAY_COST * photon_rays,
                 n => self.seconds.gather / n as f64,
             },

@@ -23,61 +23,67 @@ impl Solver<'_, '_> {
     pub(super) fn gather(&mut self, found: &mut Reconstruction, caustics: Option<&Caustics>) -> Result<(), BakeError> {
         let started = Instant::now();
         let Surface { tree, open, .. } = self.path.surface;
-        let Some(starts) = self.diffuse.starts.as_ref().filter(|_| self.gathered.iter().any(|&n| n > 0)) else {
+        if self.diffuse.starts.is_none() || self.course.gathered.iter().all(|&n| n == 0) {
             return Ok(());
-        };
+        }
         // Gathered once, light stays as it is until more rays are asked for or the map it came from is much better.
-        let fresh: Vec<(usize, (u32, u64))> = (0..self.gathered.len())
-            .filter(|&i| self.gathered[i] > 0)
-            .map(|i| (i, (self.gathered[i], self.diffuse.photons)))
+        let gathered = &self.course.gathered;
+        let fresh: Vec<(usize, (u32, u64))> = (0..gathered.len())
+            .filter(|&i| gathered[i] > 0)
+            .map(|i| (i, (gathered[i], self.diffuse.photons)))
             .filter(|&(i, (rays, photons))| {
-                let (had, at) = self.gathered_at[i];
+                let (had, at) = self.gathering.at[i];
                 had != rays || photons >= GATHER_AGAIN * at
             })
             .collect();
-        let mut again = vec![false; self.gathered.len()];
-        fresh.iter().for_each(|f| again[f.0] = true);
-        let instance = |texel: u32| self.weights.instance[texel as usize] as usize;
-        let mut wanted: Vec<(u32, u32)> = tree
-            .elements
-            .iter()
-            .filter(|e| again[instance(e.texel)])
-            .map(|e| (e.texel, self.gathered[instance(e.texel)]))
-            .collect();
+        let mut again = vec![None; gathered.len()];
+        fresh.iter().for_each(|&(i, state)| again[i] = Some(state));
+        let instances = self.weights.instance.clone();
+        let instance = |texel: u32| instances[texel as usize] as usize;
+        let wants = |e: &Element| again[instance(e.texel)].map(|state: (u32, u64)| (e.texel, state.0));
+        let mut wanted: Vec<(u32, u32)> = tree.elements.iter().filter_map(wants).collect();
         wanted.sort_by_key(|w| instance(w.0));
         let indirect = [0, 1].map(|h| scattered(&tree.elements, &found.values[h], open.len(), Vec3::ZERO));
         let blur = [0, 1].map(|h| scattered(&tree.elements, &found.sides[h], open.len(), 0.0));
-        let gather = Gather {
-            seed: self.options.seed,
-            light: self.path.light(false),
-            direct: &self.direct,
-            starts,
-            caustics: caustics.map(|c| [c.everywhere.odd.as_slice(), &c.everywhere.even]),
-            indirect: [&indirect[0], &indirect[1]],
-            blur: [&blur[0], &blur[1]],
-        };
-        let mut done: Vec<[Gathered; 2]> = Vec::with_capacity(wanted.len());
-        for wanted in wanted.chunks(GATHER_CHUNK) {
-            if self.observer.cancelled() {
-                return Err(BakeError::Cancelled);
-            }
+        let mut began = Instant::now();
+        self.seconds.gather += (began - started).as_secs_f64();
+        // What is not done of a mesh is not kept.
+        let mut done: Vec<[Gathered; 2]> = Vec::new();
+        let mut rays = 0;
+        for chunk in whole_meshes(&wanted, &instance) {
             if self.out_of_time() {
                 break;
             }
-            let light = [0, 1].map(|h| gather.texels(h, wanted));
+            let Some(starts) = &self.diffuse.starts else { break };
+            let gather = Gather {
+                seed: self.options.seed,
+                light: self.path.light(false),
+                direct: &self.direct,
+                starts,
+                caustics: caustics.map(|c| [c.everywhere.odd.as_slice(), &c.everywhere.even]),
+                indirect: [&indirect[0], &indirect[1]],
+                blur: [&blur[0], &blur[1]],
+            };
+            let light = [0, 1].map(|h| gather.texels(h, &wanted[chunk.clone()]));
             done.extend(light[0].0.iter().zip(&light[1].0).map(|(odd, even)| [*odd, *even]));
-            self.gather_rays += light[0].1 + light[1].1;
-        }
-        for (i, state) in fresh {
-            let texels = wanted.partition_point(|w| instance(w.0) < i)..wanted.partition_point(|w| instance(w.0) <= i);
-            if texels.end <= done.len() {
-                self.kept.extend(texels.map(|j| (wanted[j].0, done[j])));
-                self.gathered_at[i] = state;
+            rays += light[0].1 + light[1].1;
+            let ends = wanted.get(chunk.end).is_none_or(|next| instance(next.0) != instance(wanted[chunk.end - 1].0));
+            if ends {
+                let first = chunk.end - done.len();
+                let of_chunk = &wanted[first..chunk.end];
+                self.gathering.kept.extend(of_chunk.iter().map(|w| w.0).zip(done.drain(..)));
+                of_chunk
+                    .iter()
+                    .for_each(|w| self.gathering.at[instance(w.0)] = again[instance(w.0)].unwrap_or_default());
+                self.gathering.rays += std::mem::take(&mut rays);
             }
+            self.seconds.gather += began.elapsed().as_secs_f64();
+            self.pause()?;
+            began = Instant::now();
         }
-        self.seconds.gather += started.elapsed().as_secs_f64();
+        self.gathering.rays += rays;
         for (k, e) in tree.elements.iter().enumerate().filter(|(_, e)| self.has_gathered(instance(e.texel))) {
-            let light = self.kept[&e.texel];
+            let light = self.gathering.kept[&e.texel];
             (0..2).for_each(|h| found.values[h][k] = light[h].light);
             if let Some(cell) = found.cell_of.get_mut(k) {
                 *cell = NO_CELL;
@@ -88,13 +94,13 @@ impl Solver<'_, '_> {
 
     /// Whether the indirect light of an instance is gathered, not that of photons.
     pub(super) fn has_gathered(&self, instance: usize) -> bool {
-        self.gathered_at[instance].0 > 0
+        self.gathering.at[instance].0 > 0
     }
 
     /// Smooths what meshes gathered, which stands in `found`, over cells of its own. Among photons it would be lost: they
     /// tell much less, and cells would be as large as they need.
     pub(super) fn smooth_gathered(&self, found: &mut Reconstruction) -> SmoothGathered {
-        let instances = self.gathered.len();
+        let instances = self.course.gathered.len();
         let mut done = SmoothGathered::none(instances);
         let Surface { tree: all, open, .. } = self.path.surface;
         let instance = |e: &Element| self.weights.instance[e.texel as usize] as usize;
@@ -119,7 +125,7 @@ impl Solver<'_, '_> {
         let mut noise = vec![[0.0; 2]; instances];
         for (k, e) in tree.elements.iter().enumerate() {
             let [before, after] = &mut noise[instance(e)];
-            *before += square(k, self.kept[&e.texel].map(|g| g.light));
+            *before += square(k, self.gathering.kept[&e.texel].map(|g| g.light));
             *after += smooth(k);
         }
         for (i, [before, after]) in noise.into_iter().enumerate() {
@@ -141,10 +147,10 @@ impl Solver<'_, '_> {
 
     /// What the elements of `tree` gathered in one half.
     fn gathered_caught(&self, tree: &SurfaceTree, half: usize) -> Caught {
-        let gathered = |e: &Element| self.kept[&e.texel][half];
+        let gathered = |e: &Element| self.gathering.kept[&e.texel][half];
         let variance = |e: &Element| {
             // Rays that agree by chance are not as good as they look.
-            let n = f64::from(self.gathered_at[self.weights.instance[e.texel as usize] as usize].0);
+            let n = f64::from(self.gathering.at[self.weights.instance[e.texel as usize] as usize].0);
             let likely = f64::from(gathered(e).light.length_squared()) / (3.0 * n * (n + 2.0));
             f64::from(gathered(e).variance).max(likely) * f64::from(e.area).powi(2)
         };
@@ -155,6 +161,29 @@ impl Solver<'_, '_> {
             samples: None,
         }
     }
+}
+
+/// Ranges of (texel, rays) that are gathered between two looks at the clock: whole meshes, or a part of one that is larger.
+/// The texels of a mesh stand together.
+fn whole_meshes(wanted: &[(u32, u32)], instance: &impl Fn(u32) -> usize) -> Vec<std::ops::Range<usize>> {
+    let mut out = Vec::new();
+    let mut start = 0;
+    let mut at = 0;
+    for mesh in wanted.chunk_by(|a, b| instance(a.0) == instance(b.0)) {
+        if at > start && at + mesh.len() - start > GATHER_CHUNK {
+            out.push(start..at);
+            start = at;
+        }
+        at += mesh.len();
+        while at - start > GATHER_CHUNK {
+            out.push(start..start + GATHER_CHUNK);
+            start += GATHER_CHUNK;
+        }
+    }
+    if at > start {
+        out.push(start..at);
+    }
+    out
 }
 
 /// What smoothing did to the light that was gathered.

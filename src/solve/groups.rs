@@ -7,6 +7,7 @@ use super::audit::audit;
 use super::estimate::stored_weights;
 use super::{LightPath, Solution, solve};
 use crate::accuracy::{Audit, Caustics, Halves, TexelError, TexelWeights, mesh_errors};
+use crate::cache::Keeping;
 use crate::error::BakeError;
 use crate::light::{Emitters, LightGroup};
 use crate::observer::{Observer, Stage};
@@ -40,7 +41,7 @@ pub struct GroupSolution {
 }
 
 /// Solves each of `groups` by itself, and adds them up; the light of `path` as a whole where there are none.
-/// A time limit is shared out evenly, and so are most photons.
+/// A time limit is shared out evenly, and so are most photons. The work on each has a place of its own in `keeping`.
 ///
 /// # Errors
 /// [`BakeError::Cancelled`] when the observer says so.
@@ -51,6 +52,7 @@ pub fn solve_groups(
     weights: TexelWeights,
     options: &BakeOptions,
     began: Instant,
+    mut keeping: Option<Keeping>,
     observer: &mut dyn Observer,
 ) -> Result<Solution, BakeError> {
     let weights = if groups.is_empty() { weights } else { sides(path, weights, options, began, observer)? };
@@ -69,7 +71,8 @@ pub fn solve_groups(
         };
         let emitters = emitters(group);
         let lit = LightPath { emitters: &emitters, ..path };
-        let part = solve(lit, weights.clone(), &own, began, observer)?;
+        let slot = keeping.as_mut().map(|keeping| keeping.slot("light", &(k, group)));
+        let part = solve(lit, weights.clone(), &own, began, slot, observer)?;
         let solved = GroupSolution {
             group: group.clone(),
             light: (0..weights.weight.len()).map(|i| part.total.mean(i)).collect(),
@@ -87,7 +90,10 @@ pub fn solve_groups(
         sum = Some(whole);
     }
     match sum {
-        None => solve(path, weights, options, began, observer),
+        None => {
+            let slot = keeping.as_mut().map(|keeping| keeping.slot("light", &()));
+            solve(path, weights, options, began, slot, observer)
+        }
         Some(sum) => sum.whole(path, weights, options, began, observer),
     }
 }
@@ -115,7 +121,7 @@ fn sides(
         audit: Audits::Off,
         ..options.clone()
     };
-    Ok(solve(path, weights, &one_round, began, observer)?.weights)
+    Ok(solve(path, weights, &one_round, began, None, observer)?.weights)
 }
 
 impl Solution {
@@ -154,6 +160,7 @@ impl Solution {
         self.caustic_photons += other.caustic_photons;
         self.caustic_rays += other.caustic_rays;
         self.gather_rays += other.gather_rays;
+        self.kept_rays += other.kept_rays;
         // Nodes that gather the light of one group gather that of others as a rule.
         self.gathered_meshes = self.gathered_meshes.max(other.gathered_meshes);
         self.reflected += other.reflected;

@@ -126,7 +126,7 @@ impl Solver<'_, '_> {
             let of = |(k, e): (usize, &Element)| {
                 let gathers = self.has_gathered(self.weights.instance[e.texel as usize] as usize);
                 let photons = Vec3::from(caught[h].flux[k]) / e.area;
-                let found = if gathers { self.kept[&e.texel][h].light } else { photons };
+                let found = if gathers { self.gathering.kept[&e.texel][h].light } else { photons };
                 found + caustic.map_or(Vec3::ZERO, |c| Vec3::from(c.caught[h].flux[k]) / e.area)
             };
             elements.par_iter().enumerate().map(of).collect()

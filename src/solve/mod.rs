@@ -12,6 +12,7 @@ mod estimate;
 mod forecast;
 mod gathered;
 mod groups;
+mod keep;
 mod light;
 mod shots;
 mod surface;
@@ -27,6 +28,7 @@ use crate::accuracy::{
     Audit, CAUSTIC_SHARE, Caustics, Halves, MeshError, Missed, PhotonCost, Spent, TexelError, TexelWeights, Unseen,
     caustic_growth, cheapest_growth, gather_rays, plan_meshes,
 };
+use crate::cache::Slot;
 use crate::cell::{Bias, Gathered};
 use crate::error::BakeError;
 use crate::light::{Direct, Emitters, Growth, TexelLight, Visibility};
@@ -34,6 +36,7 @@ use crate::observer::{Observer, Stage};
 use crate::options::{BakeOptions, Normals};
 use crate::photon::{Bins, EnergyLedger, PhotonKind};
 use crate::report::{HistoryEntry, RoundSeconds};
+use serde::{Deserialize, Serialize};
 use std::collections::HashMap;
 use std::time::Instant;
 
@@ -176,6 +179,8 @@ pub struct Solution {
     pub gather_rays: u64,
     /// Meshes whose indirect light was gathered.
     pub gathered_meshes: usize,
+    /// Of all rays those of earlier bakes, whose work was kept.
+    pub kept_rays: u64,
     /// Where the photons' flux went.
     pub ledger: EnergyLedger,
     /// Reflected flux, sum of the channels [lux x frame units squared], ...
@@ -196,41 +201,74 @@ struct Solver<'a, 'o> {
     began: Instant,
     weights: TexelWeights,
     direct: Direct,
-    /// Whether it was better smoothed over cells when that was last tried.
-    smooths_direct: Option<bool>,
     bins: Bins<'a>,
     /// Photons that light carries on which was reflected diffusely.
     diffuse: Shots,
     /// Photons that bring what lamps throw over mirrors and through glass.
     caustics: Shots,
-    /// Gather rays of each texel and half, per instance; 0 where photons do.
-    gathered: Vec<u32>,
-    gather_rays: u64,
-    /// Gather rays and photons at which each instance gathered last.
-    gathered_at: Vec<(u32, u64)>,
-    /// Gathered indirect light of both halves by texel.
-    kept: HashMap<u32, [Gathered; 2]>,
+    gathering: Gathering,
     /// Texels of each instance on the map, in order.
     texels_of: Vec<Vec<u32>>,
-    /// What an audit found beyond the halves.
-    unseen: Option<Unseen>,
+    course: Course,
+    /// The course as it stood when the last round was traced, before anything was concluded from it.
+    traced: Option<Course>,
     seconds: LightSeconds,
-    history: Vec<HistoryEntry>,
-    rounds: Vec<RoundSeconds>,
     last: Option<Outlook>,
-    falls: Falls,
+    /// Where the work so far is kept, if anywhere.
+    slot: Option<Slot<'o>>,
+    /// What of it an earlier bake did.
+    earlier: Earlier,
 }
 
-/// Solves until the targets of `options` are met or a limit binds. `began` is when the bake began.
+/// Indirect light that meshes gather.
+#[derive(Debug, Default, Serialize, Deserialize)]
+struct Gathering {
+    rays: u64,
+    /// Gather rays and photons at which each instance gathered last.
+    at: Vec<(u32, u64)>,
+    /// Gathered light of both halves by texel.
+    kept: HashMap<u32, [Gathered; 2]>,
+}
+
+/// What was decided from the light so far.
+#[derive(Debug, Clone, Serialize, Deserialize)]
+struct Course {
+    /// What the round has left to do.
+    round: Round,
+    /// Samples, photons and gather rays before it.
+    before: (u64, u64, u64),
+    /// Gather rays of each texel and half, per instance; 0 where photons do.
+    gathered: Vec<u32>,
+    /// Whether direct light was better smoothed over cells when that was last tried.
+    smooths_direct: Option<bool>,
+    /// What an audit found beyond the halves.
+    unseen: Option<Unseen>,
+    falls: Falls,
+    history: Vec<HistoryEntry>,
+    rounds: Vec<RoundSeconds>,
+}
+
+/// What an earlier bake, whose work was kept, took.
+#[derive(Debug, Clone, Copy, Default)]
+struct Earlier {
+    rays: u64,
+    /// Seconds from its call.
+    elapsed: f64,
+    seconds: LightSeconds,
+}
+
+/// Solves until the targets of `options` are met or a limit binds. `began` is when the bake began. Goes on from the work
+/// that `slot` holds, and keeps there what is done; the result is the same bytes as if it had never been interrupted.
 ///
 /// # Errors
 /// [`BakeError::Cancelled`] when the observer says so.
-pub fn solve(
+pub fn solve<'o>(
     path: LightPath,
     weights: TexelWeights,
     options: &BakeOptions,
     began: Instant,
-    observer: &mut dyn Observer,
+    slot: Option<Slot<'o>>,
+    observer: &'o mut dyn Observer,
 ) -> Result<Solution, BakeError> {
     let instances = path.visibility.world.scene.instances.len();
     let mut texels_of = vec![Vec::new(); instances];
@@ -242,27 +280,32 @@ pub fn solve(
         began,
         weights,
         direct: Direct::new(path.surface.texels.texels.len()),
-        smooths_direct: None,
         bins: Bins::new(path.visibility.world, &path.surface.texels, &path.surface.open),
         diffuse: Shots::default(),
         caustics: Shots::default(),
-        gathered: vec![0; instances],
-        gather_rays: 0,
-        gathered_at: vec![(0, 0); instances],
-        kept: HashMap::new(),
+        gathering: Gathering { at: vec![(0, 0); instances], ..Gathering::default() },
         texels_of,
-        unseen: None,
+        course: Course {
+            round: Round::default(),
+            before: (0, 0, 0),
+            gathered: vec![0; instances],
+            smooths_direct: None,
+            unseen: None,
+            falls: Falls::new(),
+            history: Vec::new(),
+            rounds: Vec::new(),
+        },
+        traced: None,
         seconds: LightSeconds::default(),
-        history: Vec::new(),
-        rounds: Vec::new(),
         last: None,
-        falls: Falls::new(),
+        slot,
+        earlier: Earlier::default(),
     };
     solver.run()
 }
 
-/// Work for the next round.
-#[derive(Debug, Clone, Default)]
+/// Work for a round.
+#[derive(Debug, Clone, Default, Serialize, Deserialize)]
 struct Round {
     /// Direct samples of all texels and both halves; the first round takes the same number everywhere.
     samples: u64,
@@ -272,6 +315,8 @@ struct Round {
     caustics: u64,
     /// (instance, factor) by which its direct samples are to grow.
     direct: Vec<(usize, f64)>,
+    /// Share of the samples that goes to these first; unknown until the first are taken.
+    direct_share: Option<f64>,
     /// (instance, gather rays of each texel and half) from now on.
     gather: Vec<(usize, u32)>,
 }
@@ -286,9 +331,10 @@ impl Solver<'_, '_> {
     fn run(&mut self) -> Result<Solution, BakeError> {
         let bits = (self.path.surface.texels.texels.len().max(1).ilog2())
             .clamp(*FIRST_NET_BITS.start(), *FIRST_NET_BITS.end());
-        let mut round = Round { samples: 1, photons: 1 << bits, caustics: 1 << bits, ..Round::default() };
+        self.course.round = Round { samples: 1, photons: 1 << bits, caustics: 1 << bits, ..Round::default() };
+        self.recall();
         loop {
-            let mut solution = self.converge(round)?;
+            let mut solution = self.converge()?;
             solution.audit = self.audit(&solution)?;
             self.believe_audit(&mut solution);
             // Where an audit finds that the target is not met after all, there is more to do.
@@ -299,37 +345,46 @@ impl Solver<'_, '_> {
                     Ok(next) => {
                         self.last = Some(self.outlook(&solution, self.wish(&solution, f64::INFINITY).as_ref()));
                         let now = self.report_progress()?;
-                        self.rounds.last_mut().into_iter().for_each(|last| *last = RoundSeconds::new(&now));
+                        let last = self.course.rounds.last_mut();
+                        last.into_iter().for_each(|last| *last = RoundSeconds::new(&now));
                         self.observer.stage(Stage::Light);
-                        round = next;
+                        self.begin(next);
                         continue;
                     }
                     Err(limit) => solution.limit = Some(limit),
                 }
             }
-            solution.history = std::mem::take(&mut self.history);
-            solution.rounds = std::mem::take(&mut self.rounds);
-            solution.seconds = self.seconds;
+            self.keep();
+            solution.history = std::mem::take(&mut self.course.history);
+            solution.rounds = std::mem::take(&mut self.course.rounds);
+            solution.seconds = self.seconds.since(&self.earlier.seconds);
             return Ok(solution);
         }
     }
 
-    /// Rounds, from `round` on, until the targets are met by what the halves tell or a limit binds.
-    fn converge(&mut self, mut round: Round) -> Result<Solution, BakeError> {
+    /// The round to do next.
+    fn begin(&mut self, round: Round) {
+        self.course.round = round;
+        self.course.before = self.work();
+        self.traced = None;
+    }
+
+    /// Rounds until the targets are met by what the halves tell or a limit binds.
+    fn converge(&mut self) -> Result<Solution, BakeError> {
         loop {
-            let before = self.work();
-            let mut stopped = self.trace(&round)?;
+            let mut stopped = self.trace()?;
+            self.traced = Some(self.course.clone());
             let (started, gather) = (Instant::now(), self.seconds.gather);
             let mut solution = self.solution()?;
             self.learn(&solution);
             self.seconds.estimate += started.elapsed().as_secs_f64() - (self.seconds.gather - gather);
-            if self.work() == before {
+            if self.work() == self.course.before {
                 stopped = stopped.or(Some("samples"));
             }
             let wish = self.wish(&solution, f64::INFINITY);
             let rays = self.rays();
             let forecast_rays = rays as f64 + wish.as_ref().map_or(0.0, |r| self.cost(r));
-            self.history.push(HistoryEntry {
+            self.course.history.push(HistoryEntry {
                 direct_samples: self.direct.all_samples(),
                 photons: self.diffuse.photons * 2,
                 rays,
@@ -339,15 +394,15 @@ impl Solver<'_, '_> {
                 forecast_rays,
             });
             self.last = Some(self.outlook(&solution, wish.as_ref()));
-            let now = self.report_progress()?;
-            self.rounds.push(RoundSeconds::new(&now));
+            let now = self.pause()?;
+            self.course.rounds.push(RoundSeconds::new(&now));
             let Some(wish) = self.wish(&solution, MOST_REDUCTION) else { return Ok(solution) };
             let next = self.bounded(wish);
             if self.seconds_left().is_some_and(|left| left <= 0.0) {
                 stopped = stopped.or(Some("time-limit"));
             }
             match (stopped, next) {
-                (None, Ok(next)) => round = next,
+                (None, Ok(next)) => self.begin(next),
                 (stopped, next) => {
                     solution.limit = stopped.or(next.err());
                     return Ok(solution);
@@ -356,44 +411,47 @@ impl Solver<'_, '_> {
         }
     }
 
-    /// Traces one round; the name of the limit that ended it early.
-    fn trace(&mut self, round: &Round) -> Result<Option<&'static str>, BakeError> {
-        if let Some(limit) = self.sample(round)? {
+    /// Traces what is left of the round; the name of the limit that ended it early.
+    fn trace(&mut self) -> Result<Option<&'static str>, BakeError> {
+        if let Some(limit) = self.sample()? {
             return Ok(Some(limit));
         }
-        let mut limit = self.shoot(PhotonKind::Diffuse, round.photons)?;
+        let mut limit = self.shoot(PhotonKind::Diffuse)?;
         if self.path.visibility.world.is_specular() {
-            limit = limit.or(self.shoot(PhotonKind::Caustic, round.caustics)?);
+            limit = limit.or(self.shoot(PhotonKind::Caustic)?);
         }
         Ok(limit.or_else(|| self.out_of_time().then_some("time-limit")))
     }
 
-    /// Takes direct samples; the limit that ended them early.
-    fn sample(&mut self, round: &Round) -> Result<Option<&'static str>, BakeError> {
+    /// Takes the direct samples that the round has left; the limit that ended them early.
+    fn sample(&mut self) -> Result<Option<&'static str>, BakeError> {
         let texels = &self.path.surface.texels;
         let light = self.path.light(self.options.normals == Normals::Smooth);
-        let mut factors = round.direct.clone();
-        let mut left = round.samples;
-        let grows = self.direct.samples_to_grow(&growing(&self.texels_of, &factors));
-        let share = (grows / left.max(1) as f64).min(1.0);
-        while left > 0 {
+        let share = self.course.round.direct_share.unwrap_or_else(|| {
+            let grows = self.direct.samples_to_grow(&growing(&self.texels_of, &self.course.round.direct));
+            (grows / self.course.round.samples.max(1) as f64).min(1.0)
+        });
+        self.course.round.direct_share = Some(share);
+        while self.course.round.samples > 0 {
+            let left = self.course.round.samples;
             let started = Instant::now();
             let most = MOST_SAMPLES_AT_ONCE.max(MOST_PER_TEXEL_AT_ONCE * texels.texels.len() as u64);
             let budget = left.min(most);
             if self.direct.all_samples() == 0 {
                 self.direct.extend(&|_, _| FIRST_SAMPLES, FIRST_SAMPLES, self.options.seed, &light);
-                left = 0;
+                self.course.round.samples = 0;
             } else {
-                let next = self.direct.allocate(budget, texels, &growing(&self.texels_of, &factors), share);
+                let factors = &mut self.course.round.direct;
+                let next = self.direct.allocate(budget, texels, &growing(&self.texels_of, factors), share);
                 factors.iter_mut().for_each(|(_, f)| *f /= 1.0 + (*f - 1.0) * next.grown);
                 let before = self.direct.all_samples();
                 self.direct.extend(&|half, texel| next.more[half][texel], next.steering, self.options.seed, &light);
                 // Where all texels have the most that they may take, none takes any.
-                left = if self.direct.all_samples() == before { 0 } else { left - budget };
+                self.course.round.samples = if self.direct.all_samples() == before { 0 } else { left - budget };
             }
             self.seconds.direct += started.elapsed().as_secs_f64();
-            self.report_progress()?;
-            if left > 0 && self.out_of_time() {
+            self.pause()?;
+            if self.course.round.samples > 0 && self.out_of_time() {
                 return Ok(Some("time-limit"));
             }
         }
@@ -402,11 +460,11 @@ impl Solver<'_, '_> {
 
     /// Samples, photons and gather rays so far.
     fn work(&self) -> (u64, u64, u64) {
-        (self.direct.all_samples(), self.diffuse.photons + self.caustics.photons, self.gather_rays)
+        (self.direct.all_samples(), self.diffuse.photons + self.caustics.photons, self.gathering.rays)
     }
 
     fn rays(&self) -> u64 {
-        self.direct.rays() + self.photon_rays() + self.gather_rays
+        self.direct.rays() + self.photon_rays() + self.gathering.rays
     }
 
     /// Rays that a round takes.
@@ -442,7 +500,7 @@ impl Solver<'_, '_> {
             direct: s.squares.apart,
             soft: s.squares.soft,
             indirect: s.squares.indirect + unseen,
-            falls: [self.falls.soft.exponent(), self.falls.indirect.exponent()],
+            falls: [self.course.falls.soft.exponent(), self.course.falls.indirect.exponent()],
             direct_cost: SAMPLE_COST * samples,
             photon_cost: self.diffuse.ledger.rays.max(1) as f64,
         };
@@ -506,7 +564,7 @@ impl Solver<'_, '_> {
         if round.is_empty() {
             return Err("time-limit");
         }
-        round.gather.iter().for_each(|&(instance, rays)| self.gathered[instance] = rays);
+        round.gather.iter().for_each(|&(instance, rays)| self.course.gathered[instance] = rays);
         Ok(round)
     }
 

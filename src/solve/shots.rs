@@ -4,16 +4,18 @@ use super::forecast::Falls;
 use super::{LEAST_NET_BITS, LightPath, Solver, Surface};
 use crate::error::BakeError;
 use crate::photon::{Bins, EnergyLedger, Flux, PhotonKind, Shooting, StartTable};
+use serde::{Deserialize, Serialize};
 use std::time::Instant;
 
 /// Largest net: rounds between two looks at the clock.
 const LARGEST_NET_BITS: u32 = 21;
 
 /// Photons of one kind so far.
-#[derive(Debug, Default)]
+#[derive(Debug, Default, Serialize, Deserialize)]
 pub(super) struct Shots {
     pub(super) flux: Option<Flux>,
-    /// Where photons of each half started last.
+    /// Where photons of each half started last: direct light says.
+    #[serde(skip)]
     pub(super) starts: Option<[StartTable; 2]>,
     /// Photons per half.
     pub(super) photons: u64,
@@ -53,8 +55,8 @@ pub(super) struct FluxScale {
 }
 
 impl Solver<'_, '_> {
-    /// Shoots `photons` per half in nets; the limit that ended them early.
-    pub(super) fn shoot(&mut self, kind: PhotonKind, photons: u64) -> Result<Option<&'static str>, BakeError> {
+    /// Shoots the photons of one kind that the round has left, in nets; the limit that ended them early.
+    pub(super) fn shoot(&mut self, kind: PhotonKind) -> Result<Option<&'static str>, BakeError> {
         let mut started = Instant::now();
         let LightPath { surface: Surface { texels, crevice, .. }, visibility, .. } = self.path;
         let starts = [0, 1].map(|h| match kind {
@@ -70,11 +72,16 @@ impl Solver<'_, '_> {
         }
         let flux = *self.shots(kind).flux.get_or_insert_with(|| Flux::for_total(total));
         let (seed, light, most) = (self.options.seed, self.path.light(false), self.options.max_photons);
-        let (mut left, mut limit) = (photons, None);
+        let mut limit = None;
         if self.shots(kind).photons == 0 {
-            left = left.max(1 << LEAST_NET_BITS);
+            let left = self.left(kind);
+            *left = (*left).max(1 << LEAST_NET_BITS);
         }
-        while left > 0 {
+        loop {
+            let left = *self.left(kind);
+            if left == 0 {
+                break;
+            }
             let allowed = self.shots(kind).left(most);
             if allowed == 0 {
                 limit = Some("max-photons");
@@ -95,17 +102,25 @@ impl Solver<'_, '_> {
             shots.ledger += &ledger;
             shots.nets += 1;
             shots.photons += 1 << bits;
-            left = left.saturating_sub(1 << bits);
+            *self.left(kind) = left.saturating_sub(1 << bits);
             self.seconds.photons += started.elapsed().as_secs_f64();
+            self.pause()?;
             started = Instant::now();
-            self.report_progress()?;
-            if left > 0 && self.out_of_time() {
+            if *self.left(kind) > 0 && self.out_of_time() {
                 limit = Some("time-limit");
                 break;
             }
         }
         self.shots(kind).starts = Some(starts);
         Ok(limit)
+    }
+
+    /// Photons per half that the round has left.
+    fn left(&mut self, kind: PhotonKind) -> &mut u64 {
+        match kind {
+            PhotonKind::Diffuse => &mut self.course.round.photons,
+            PhotonKind::Caustic => &mut self.course.round.caustics,
+        }
     }
 
     fn shots(&mut self, kind: PhotonKind) -> &mut Shots {
@@ -124,8 +139,8 @@ impl Solver<'_, '_> {
             PhotonKind::Diffuse => {
                 self.bins = Bins::new(visibility.world, texels, open);
                 self.diffuse = Shots::default();
-                self.gathered_at.fill((0, 0));
-                (self.falls, self.last) = (Falls::new(), None);
+                self.gathering.at.fill((0, 0));
+                (self.course.falls, self.last) = (Falls::new(), None);
             }
         }
     }

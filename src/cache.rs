@@ -1,0 +1,177 @@
+//! What of a bake another may use: by content, so that nothing stale is ever found.
+//!
+//! Charts are named by the meshes they were cut from, and light by all that it depends on, but not by the targets and
+//! limits that only say when to stop: a bake with a lower target, or one that was killed, goes on where the last one
+//! was. What is kept is the work as it stood, so that it makes no difference to the result whether it was interrupted.
+
+use serde::Serialize;
+use serde::de::DeserializeOwned;
+use std::fmt;
+use std::io::{self, Read, Write};
+
+/// Raised whenever the meaning of anything that is kept, or what is computed from it, changes.
+const VERSION: u32 = 1;
+
+/// The name of something that is kept.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Key {
+    /// What it is: `charts`, `density` or `light`.
+    pub kind: &'static str,
+    /// Hash (BLAKE3) of all that it depends on.
+    pub hash: [u8; 32],
+}
+
+/// `kind-` and the first half of the hash in hexadecimal digits: 128 bits are enough to tell all of them apart.
+impl fmt::Display for Key {
+    fn fmt(&self, f: &mut fmt::Formatter) -> fmt::Result {
+        write!(f, "{}-", self.kind)?;
+        self.hash[..16].iter().try_for_each(|byte| write!(f, "{byte:02x}"))
+    }
+}
+
+/// Collects what something depends on. Text comes in through [`fmt::Write`].
+#[derive(Debug, Clone)]
+pub struct Digest(blake3::Hasher);
+
+impl Default for Digest {
+    fn default() -> Digest {
+        let mut digest = Digest(blake3::Hasher::new());
+        digest.bytes(env!("CARGO_PKG_VERSION").as_bytes());
+        digest.bytes(&VERSION.to_le_bytes());
+        digest
+    }
+}
+
+impl Digest {
+    /// Adds `bytes`; where they end counts.
+    pub fn bytes(&mut self, bytes: &[u8]) {
+        self.0.update(&(bytes.len() as u64).to_le_bytes());
+        self.0.update(bytes);
+    }
+
+    /// Adds plain values, bit by bit.
+    pub fn values<T: bytemuck::NoUninit>(&mut self, values: &[T]) {
+        self.bytes(bytemuck::cast_slice(values));
+    }
+
+    /// Adds `value` as it is written for debugging, which tells all numbers apart.
+    pub fn debug(&mut self, value: &dyn fmt::Debug) {
+        // Cannot fail: nothing here does.
+        let _ = fmt::write(self, format_args!("{value:?};"));
+    }
+
+    /// The key of a `kind`.
+    pub fn key(&self, kind: &'static str) -> Key {
+        let mut all = self.0.clone();
+        all.update(kind.as_bytes());
+        Key { kind, hash: *all.finalize().as_bytes() }
+    }
+}
+
+impl fmt::Write for Digest {
+    fn write_str(&mut self, s: &str) -> fmt::Result {
+        self.0.update(s.as_bytes());
+        Ok(())
+    }
+}
+
+/// Writes what is to be kept.
+pub type Writing<'w> = dyn Fn(&mut dyn Write) -> io::Result<()> + 'w;
+
+/// Keeps things by name.
+pub trait Cache: Send + Sync {
+    /// Whole contents of what was kept under `key`; `None` where nothing sound was.
+    fn load(&mut self, key: &Key) -> Option<Box<dyn Read>>;
+
+    /// Keeps what `writing` writes under `key`, in the place of what was there. Where that fails, a bake goes on without.
+    fn keep(&mut self, key: &Key, writing: &Writing);
+
+    /// Whether unfinished work should be kept now. Asked often.
+    fn is_due(&self) -> bool;
+}
+
+/// A cache, and what all that a bake keeps there depends on.
+pub struct Keeping<'c> {
+    /// Where it is.
+    pub cache: &'c mut dyn Cache,
+    /// What all depends on.
+    pub digest: Digest,
+}
+
+impl Keeping<'_> {
+    /// The place of a `kind`, of the `part` of a bake.
+    pub fn slot(&mut self, kind: &'static str, part: &dyn fmt::Debug) -> Slot<'_> {
+        let mut digest = self.digest.clone();
+        digest.debug(part);
+        Slot { cache: &mut *self.cache, key: digest.key(kind) }
+    }
+}
+
+/// A place in a cache.
+pub struct Slot<'c> {
+    /// Where it is.
+    pub cache: &'c mut dyn Cache,
+    /// Its name.
+    pub key: Key,
+}
+
+impl fmt::Debug for Keeping<'_> {
+    fn fmt(&self, f: &mut fmt::Formatter) -> fmt::Result {
+        f.debug_struct("Keeping").field("digest", &self.digest).finish_non_exhaustive()
+    }
+}
+
+impl fmt::Debug for Slot<'_> {
+    fn fmt(&self, f: &mut fmt::Formatter) -> fmt::Result {
+        f.debug_struct("Slot").field("key", &self.key).finish_non_exhaustive()
+    }
+}
+
+/// Bytes of the longest string of anything that is kept.
+const LONGEST_STRING: usize = 1 << 16;
+
+impl Slot<'_> {
+    /// What it holds; `None` where that is nothing, or something else.
+    pub fn load<T: DeserializeOwned>(&mut self) -> Option<T> {
+        let from = self.cache.load(&self.key)?;
+        let mut scratch = vec![0; LONGEST_STRING];
+        let (value, _) = postcard::from_io((from, &mut scratch)).ok()?;
+        Some(value)
+    }
+
+    /// Keeps `value`.
+    pub fn keep<T: Serialize>(&mut self, value: &T) {
+        let writing = |to: &mut dyn Write| postcard::to_io(value, to).map(|_| ()).map_err(io::Error::other);
+        self.cache.keep(&self.key, &writing);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_differs_has_another_name() {
+        let name = |feed: &dyn Fn(&mut Digest)| {
+            let mut digest = Digest::default();
+            feed(&mut digest);
+            digest.key("light").to_string()
+        };
+        let names = [
+            name(&|_| ()),
+            name(&|d| d.bytes(b"ab")),
+            name(&|d| {
+                d.bytes(b"a");
+                d.bytes(b"b");
+            }),
+            name(&|d| d.values(&[0.0f32])),
+            name(&|d| d.values(&[-0.0f32])),
+            name(&|d| d.debug(&0.1f32)),
+            name(&|d| d.debug(&0.1f64.next_up())),
+        ];
+        assert_eq!(names.iter().collect::<std::collections::BTreeSet<_>>().len(), names.len());
+        assert!(names[0].starts_with("light-") && names[0].len() == 6 + 32, "{}", names[0]);
+        let digest = Digest::default();
+        assert_ne!(digest.key("light").hash, digest.key("charts").hash);
+    }
+}

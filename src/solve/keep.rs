@@ -1,0 +1,56 @@
+//! The work so far, kept where another bake may go on from it.
+//!
+//! Kept is what was traced, and what had been decided when that was traced: what is concluded from it is concluded
+//! again, from the same numbers.
+
+use super::shots::Shots;
+use super::{Course, Earlier, Gathering, LightSeconds, Solver};
+use crate::error::BakeError;
+use crate::light::Direct;
+use crate::observer::Progress;
+use crate::photon::Sums;
+
+/// All of it: direct light, what is in the bins, photons of both kinds, what was gathered, what is decided, and seconds
+/// of light and since the first call.
+type Work = (Direct, Sums, [Shots; 2], Gathering, Course, LightSeconds, f64);
+
+impl Solver<'_, '_> {
+    /// Between two pieces of work: tells the observer where the bake stands, and keeps what is done where that is due.
+    ///
+    /// # Errors
+    /// [`BakeError::Cancelled`]; what was done by then is kept.
+    pub(super) fn pause(&mut self) -> Result<Progress, BakeError> {
+        let progress = self.report_progress();
+        if progress.is_err() || self.slot.as_ref().is_some_and(|slot| slot.cache.is_due()) {
+            self.keep();
+        }
+        progress
+    }
+
+    /// Keeps the work so far.
+    pub(super) fn keep(&mut self) {
+        let course = self.traced.as_ref().unwrap_or(&self.course);
+        let elapsed = self.earlier.elapsed + self.began.elapsed().as_secs_f64();
+        let shots = [&self.diffuse, &self.caustics];
+        if let Some(slot) = &mut self.slot {
+            slot.keep(&(&self.direct, self.bins.sums(), shots, &self.gathering, course, self.seconds, elapsed));
+        }
+    }
+
+    /// Goes on from what was kept, if anything was.
+    pub(super) fn recall(&mut self) {
+        let Some(kept) = self.slot.as_mut().and_then(|slot| slot.load::<Work>()) else { return };
+        let (direct, sums, [diffuse, caustics], gathering, course, seconds, elapsed) = kept;
+        let instances = self.texels_of.len();
+        let fits = direct.texels() == self.direct.texels()
+            && gathering.at.len() == instances
+            && course.gathered.len() == instances
+            && self.bins.put(sums);
+        if !fits {
+            return;
+        }
+        (self.direct, self.diffuse, self.caustics) = (direct, diffuse, caustics);
+        (self.gathering, self.course) = (gathering, course);
+        (self.seconds, self.earlier) = (seconds, Earlier { rays: self.rays(), elapsed, seconds });
+    }
+}
