@@ -68,12 +68,17 @@ impl<'t> Bins<'t> {
     /// Empty bins for the texels of the map, `open` the open share of each: where it is below 1, light between
     /// the texel and a surface that lies upon it is not counted.
     pub fn new(world: &'t World<'t>, texels: &'t Texels, open: &'t [f32]) -> Bins<'t> {
+        let mut bins = Bins { texels, world, open, sums: Sums::default() };
+        bins.sums = bins.empty();
+        bins
+    }
+
+    fn empty(&self) -> Sums {
         let empty = |count: usize| (0..count).map(|_| Default::default()).collect();
+        let Bins { texels, world, .. } = self;
         let all = if world.is_specular() { texels.texels.len() } else { 0 };
-        let caustics = [empty(all), empty(all)];
         let backs = (0..world.len()).map(|_| AtomicI64::new(0)).collect();
-        let sums = Sums { halves: [empty(texels.mapped), empty(texels.mapped)], caustics, backs };
-        Bins { texels, world, open, sums }
+        Sums { halves: [empty(texels.mapped), empty(texels.mapped)], caustics: [empty(all), empty(all)], backs }
     }
 
     /// What is in them.
@@ -81,13 +86,20 @@ impl<'t> Bins<'t> {
         &self.sums
     }
 
-    /// Puts in what bins of the same texels held; whether these were such.
-    pub fn put(&mut self, sums: Sums) -> bool {
-        let lengths = |s: &Sums| [&s.halves[0], &s.halves[1], &s.caustics[0], &s.caustics[1]].map(Vec::len);
-        let fit = lengths(&sums) == lengths(&self.sums) && sums.backs.len() == self.sums.backs.len();
-        if fit {
-            self.sums = sums;
-        }
+    /// Puts in what `load` finds, if that is of bins of the same texels, or else nothing; whether it is. There is never
+    /// memory taken for both.
+    pub fn put(&mut self, load: impl FnOnce() -> Option<Sums>) -> bool {
+        self.sums = Sums::default();
+        let Bins { texels, world, .. } = self;
+        let all = if world.is_specular() { texels.texels.len() } else { 0 };
+        let fits = |s: &Sums| {
+            s.halves.iter().all(|h| h.len() == texels.mapped)
+                && s.caustics.iter().all(|c| c.len() == all)
+                && s.backs.len() == world.len()
+        };
+        let found = load().filter(fits);
+        let fit = found.is_some();
+        self.sums = found.unwrap_or_else(|| self.empty());
         fit
     }
 

@@ -39,16 +39,23 @@ impl Solver<'_, '_> {
 
     /// Goes on from what was kept, if anything was.
     pub(super) fn recall(&mut self) {
-        let Some(kept) = self.slot.as_mut().and_then(|slot| slot.load::<Work>()) else { return };
-        let (direct, sums, [diffuse, caustics], gathering, course, seconds, elapsed) = kept;
+        let texels = self.direct.texels();
         let instances = self.texels_of.len();
-        let fits = direct.texels() == self.direct.texels()
-            && gathering.at.len() == instances
-            && course.gathered.len() == instances
-            && self.bins.put(sums);
-        if !fits {
+        let Some(slot) = &mut self.slot else { return };
+        // Not both at once: they are most of the memory of a bake.
+        self.direct = Direct::new(0);
+        let mut rest = None;
+        let found = self.bins.put(|| {
+            let (direct, sums, shots, gathering, course, seconds, elapsed) = slot.load::<Work>()?;
+            let fits =
+                direct.texels() == texels && gathering.at.len() == instances && course.gathered.len() == instances;
+            rest = fits.then_some((direct, shots, gathering, course, seconds, elapsed));
+            fits.then_some(sums)
+        });
+        let Some((direct, [diffuse, caustics], gathering, course, seconds, elapsed)) = rest.filter(|_| found) else {
+            self.direct = Direct::new(texels);
             return;
-        }
+        };
         (self.direct, self.diffuse, self.caustics) = (direct, diffuse, caustics);
         (self.gathering, self.course) = (gathering, course);
         (self.seconds, self.earlier) = (seconds, Earlier { rays: self.rays(), elapsed, seconds });
