@@ -141,14 +141,65 @@ impl Slot<'_> {
 
     /// Keeps `value`.
     pub fn keep<T: Serialize>(&mut self, value: &T) {
-        let writing = |to: &mut dyn Write| postcard::to_io(value, to).map(|_| ()).map_err(io::Error::other);
+        let writing = |to: &mut dyn Write| {
+            let mut to = Telling { to, fault: None };
+            let written = postcard::to_io(value, &mut to).map(|_| ());
+            written.map_err(|e| to.fault.take().unwrap_or_else(|| io::Error::other(e)))
+        };
         self.cache.keep(&self.key, &writing);
+    }
+}
+
+/// Remembers why nothing could be written: who serialises says only that it was so.
+struct Telling<'w> {
+    to: &'w mut dyn Write,
+    fault: Option<io::Error>,
+}
+
+impl Write for Telling<'_> {
+    fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
+        match self.to.write_all(bytes) {
+            Ok(()) => Ok(bytes.len()),
+            Err(e) => {
+                let kind = e.kind();
+                self.fault = Some(e);
+                Err(kind.into())
+            }
+        }
+    }
+
+    fn flush(&mut self) -> io::Result<()> {
+        self.to.flush()
     }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    struct Full;
+
+    impl Cache for Full {
+        fn load(&mut self, _key: &Key) -> Option<Box<dyn Read>> {
+            None
+        }
+
+        fn keep(&mut self, _key: &Key, writing: &Writing) {
+            let mut room = [0u8; 4];
+            let fault = writing(&mut io::Cursor::new(&mut room[..])).expect_err("no room for it");
+            assert_eq!(fault.kind(), io::ErrorKind::WriteZero);
+        }
+
+        fn is_due(&self) -> bool {
+            true
+        }
+    }
+
+    #[test]
+    fn why_nothing_can_be_written_is_told() {
+        let key = Digest::default().key("light");
+        Slot { cache: &mut Full, key }.keep(&vec![1u64 << 60; 100]);
+    }
 
     #[test]
     fn what_differs_has_another_name() {

@@ -1,6 +1,6 @@
 //! A cache in a folder: a file for each thing that is kept.
 //!
-//! A file holds [`MAGIC`], the key, the contents, and a hash (BLAKE3) of all before. It appears whole or not at all,
+//! A file holds sixteen bytes that name the format, the key, the contents, and a hash (BLAKE3) of all before. It appears whole or not at all,
 //! and one that is not whole is never used.
 
 use crate::cache::{Cache, Key, Writing};
