@@ -5,7 +5,7 @@
 
 use crate::accuracy::{DensityGoal, GridFall, TexelWeights, chart_densities};
 use crate::atlas::{Atlas, Texels, Unwrapping, check_memory};
-use crate::cache::{Keeping, Slot};
+use crate::cache::Keeping;
 use crate::error::BakeError;
 use crate::light::{Emitters, Visibility};
 use crate::lightmap::{GridPoints, Lightmap, coarser};
@@ -62,18 +62,22 @@ pub fn adapt_density(
     emitters: &Emitters,
     options: &BakeOptions,
     began: Instant,
-    keeping: Option<&mut Keeping>,
+    mut keeping: Option<&mut Keeping>,
     observer: &mut dyn Observer,
 ) -> Result<Pilot, BakeError> {
-    let mut slot = keeping.map(|keeping| keeping.slot("density", &()));
-    if let Some((pilot, factors)) = slot.as_mut().and_then(Slot::load::<(Pilot, Vec<f64>)>)
-        && unwrapping.set_densities(&factors)
-    {
-        return Ok(Pilot { from_cache: true, ..pilot });
-    }
+    let started = Instant::now();
     let world = visibility.world;
     let even = unwrapping.even_density(options);
     let sizes = unwrapping.sizes(even, options);
+    // A look that a time limit cut short is for bakes with such a limit alone.
+    let kinds: &[bool] = if options.time_limit.is_some() { &[false, true] } else { &[false] };
+    for hurried in kinds {
+        let kept = keeping.as_mut().and_then(|keeping| keeping.slot("density", &(hurried, &sizes)).load());
+        let Some((pilot, factors)): Option<(Pilot, Vec<f64>)> = kept else { continue };
+        if unwrapping.set_densities(&factors) {
+            return Ok(Pilot { from_cache: true, ..pilot });
+        }
+    }
     let gutters: f64 = sizes.iter().map(|s| s.texels[2]).sum();
     if gutters > MOST_GUTTERS * f64::from(options.max_texture).powi(2) {
         return Ok(NOTHING);
@@ -118,7 +122,12 @@ pub fn adapt_density(
         let density = if share == 1.0 { Density::Even } else { Density::TexelsPerMetre(even) };
         found = Pilot { density, share, from_cache: false };
     }
-    slot.iter_mut().for_each(|slot| slot.keep(&(found, &factors)));
+    if let Some(keeping) = keeping {
+        let hurried = options.time_limit.is_some_and(|limit| {
+            began.elapsed().as_secs_f64() > TOO_LATE * limit || started.elapsed().as_secs_f64() > TIME_SHARE * limit
+        });
+        keeping.slot("density", &(hurried, &sizes)).keep(&(found, &factors));
+    }
     Ok(found)
 }
 

@@ -302,7 +302,7 @@ pub struct Seconds {
 /// When a round ended, and when it foretold the end. Apart from the history, which is the same for every run.
 #[derive(Debug, Clone, Copy, Serialize, Deserialize)]
 pub struct RoundSeconds {
-    /// Seconds from the call to the end of the round.
+    /// Seconds from the call to the end of the round, with those of earlier bakes whose light was kept.
     pub at: f64,
     /// Seconds from the call until all targets would be met, by the work foretold and its speed so far.
     pub forecast: f64,

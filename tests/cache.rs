@@ -167,6 +167,27 @@ fn work_that_was_kept_earlier_leads_to_the_same_end() {
     }
 }
 
+/// Time runs out in direct samples of a round whose photons were not shot: what those before brought still counts.
+#[test]
+fn a_resumed_bake_without_time_states_the_error_of_what_is_there() {
+    let scene = scene();
+    let whole = bake(&scene, &options(), &mut NoObserver).expect("the bake succeeds");
+    let mut told = Vec::new();
+    for last in 4..=7 {
+        let mut cache = Memory::new();
+        let stopped = bake_with_cache(&scene, &options(), &mut cache, &mut StopAt::call(last));
+        assert!(matches!(stopped, Err(BakeError::Cancelled)), "call {last}");
+        let hurried = BakeOptions { time_limit: Some(1e-3), ..options() };
+        let late = cached(&scene, &hurried, &mut cache);
+        assert_eq!(late.report.limit.as_deref(), Some("time-limit"), "call {last}");
+        let error = late.report.texel_error_percent;
+        assert!(error > 0.9 * whole.report.texel_error_percent, "call {last}: {error}");
+        told.push(error);
+        assert!(bits(&cached(&scene, &options(), &mut cache)).0.iter().all(|v| f32::from_bits(*v).is_finite()));
+    }
+    assert!(told.iter().all(|e| *e < 100.0), "{told:?}");
+}
+
 #[test]
 fn a_finished_bake_gives_its_maps_again_and_goes_on_to_a_lower_target() {
     let scene = scene();

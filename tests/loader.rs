@@ -273,6 +273,98 @@ fn damaged_files_never_panic() {
     }
 }
 
+/// Each breaks one rule of glTF 2.0 in an object that nothing uses.
+#[test]
+fn faults_that_stand_in_nobodys_way_are_warned_of_by_their_place() {
+    let cases: [(Value, &str); 17] = [
+        (json!({"cameras": []}), "/cameras is empty"),
+        (json!({"samplers": {}}), "/samplers is no array"),
+        (json!({"skins": [1]}), "/skins/0 is no object"),
+        (json!({"extensions": {"EXT_new": {}}}), "/extensions/EXT_new is not declared"),
+        (
+            json!({"extensionsUsed": ["KHR_xmp_json_ld", "KHR_xmp_json_ld"]}),
+            "/extensionsUsed/1 names KHR_xmp_json_ld again",
+        ),
+        (
+            json!({"extensionsUsed": ["KHR_materials_ior"], "samplers": [{"extensions": {"KHR_materials_ior": {}}}]}),
+            "/samplers/0/extensions/KHR_materials_ior means nothing there",
+        ),
+        (json!({"textures": [{"source": 7}]}), "/textures/0/source refers to images[7], of 0"),
+        (
+            json!({"materials": [{"emissiveTexture": {"index": 3}}]}),
+            "/materials/0/emissiveTexture/index refers to textures[3], of 0",
+        ),
+        (
+            json!({"materials": [{"pbrMetallicRoughness": {"metallicFactor": 2}}]}),
+            "/materials/0/pbrMetallicRoughness/metallicFactor is 2, outside of 0 to 1",
+        ),
+        (json!({"images": [{}]}), "/images/0 has to have one of uri and bufferView"),
+        (json!({"images": [{"uri": ":"}]}), "/images/0/uri is no URI"),
+        (json!({"images": [{"uri": "absent.png"}]}), "/images/0/uri cannot be read"),
+        (json!({"images": [{"uri": "data:text/plain,a"}]}), "/images/0/uri is of the type `text/plain`"),
+        (
+            json!({"accessors": [{"byteOffset": 0, "componentType": 5126, "count": 1, "type": "SCALAR"}]}),
+            "byteOffset has no",
+        ),
+        (
+            json!({"accessors": [{"componentType": 5126, "count": 1, "type": "VEC2", "normalized": true}]}),
+            "normalized is for",
+        ),
+        (
+            json!({"bufferViews": [{"buffer": 4, "byteLength": 4, "byteStride": 6}]}),
+            "byteStride is 6, not a multiple of 4",
+        ),
+        (json!({"bufferViews": [{"byteLength": 4}]}), "/bufferViews/0 has no buffer"),
+    ];
+    for (what, fault) in cases {
+        let mut file = json!({"asset": {"version": "2.0"}});
+        file.as_object_mut().expect("an object").extend(what.as_object().expect("an object").clone());
+        let scene = load_bytes("test.gltf", &serde_json::to_vec(&file).expect("JSON")).expect("it does not matter");
+        let found = |w: &evenlight::Warning| w.code == "fault-in-file" && w.message.contains(fault);
+        assert!(scene.warnings.iter().any(found), "{fault}: {:?}", scene.warnings);
+    }
+    // Bounds of data are those of the data.
+    let with_max = |max: f64| {
+        let data = json!({
+            "asset": {"version": "2.0"}, "buffers": [{"byteLength": 8, "uri": "data:application/octet-stream;base64,AACAPwAAAEA="}],
+            "bufferViews": [{"buffer": 0, "byteLength": 8}],
+            "accessors": [{"bufferView": 0, "componentType": 5126, "count": 2, "type": "SCALAR", "min": [1], "max": [max]}],
+        });
+        load_bytes("test.gltf", &serde_json::to_vec(&data).expect("JSON")).expect("it does not matter").warnings
+    };
+    let said = |warnings: &[evenlight::Warning]| warnings.iter().any(|w| w.message.contains("holds 1 values outside"));
+    assert!(!said(&with_max(2.0)) && said(&with_max(1.5)));
+    let many = json!({"asset": {"version": "2.0"}, "textures": vec![json!({"source": 9}); 30]});
+    let scene = load_bytes("test.gltf", &serde_json::to_vec(&many).expect("JSON")).expect("it does not matter");
+    assert!(
+        scene.warnings.len() == 9 && scene.warnings[8].message.starts_with("22 more faults"),
+        "{:?}",
+        scene.warnings
+    );
+    assert!(codes(&load(everything())).iter().all(|code| *code != "fault-in-file"));
+}
+
+/// Every file that the glTF validator finds an error in is refused, or warned of.
+#[test]
+fn faults_that_the_validator_finds_are_found() {
+    let Some(folder) = shared() else { return };
+    let mut files = Vec::new();
+    scenes_below(&folder.join("loader/invalid"), &mut files);
+    let mut wrong = 0;
+    for file in files {
+        let mut report = file.clone().into_os_string();
+        report.push(".report.json");
+        let Ok(report) = std::fs::read(&report) else { continue };
+        let report: Value = serde_json::from_slice(&report).expect("a report");
+        if report["issues"]["numErrors"].as_u64().is_some_and(|n| n > 0) {
+            wrong += 1;
+            let found = Scene::from_gltf(&file).map_or(true, |scene| !scene.warnings.is_empty());
+            assert!(found, "{}", file.display());
+        }
+    }
+    assert!(wrong > 90, "{wrong} files");
+}
+
 /// The folder of real scenes that is not part of this repository, if it is there.
 fn shared() -> Option<PathBuf> {
     let beside = || PathBuf::from(concat!(env!("CARGO_MANIFEST_DIR"), "/../shared"));

@@ -259,7 +259,7 @@ fn key_of(meshes: &[JoinedMesh], options: &BakeOptions) -> Key {
 /// Charts and (code, message) of the warnings of each mesh.
 type KeptCharts = Vec<(Unwrapped, Vec<(String, String)>)>;
 
-/// Charts that were kept of these very meshes, whose names may be others than then.
+/// Charts that were kept of these very meshes.
 fn kept_charts(slot: &mut Slot, meshes: &[JoinedMesh]) -> Option<Vec<(Unwrapped, Vec<Warning>)>> {
     let kept: KeptCharts = slot.load()?;
     let fits = |(mesh, (charts, _)): (&JoinedMesh, &(Unwrapped, _))| {

@@ -105,7 +105,7 @@ pub struct Atlas {
 impl Atlas {
     /// Adds where all texels are.
     pub(crate) fn feed(&self, digest: &mut Digest) {
-        digest.debug(&(&self.pages, &self.placements, &self.first_chart));
+        digest.debug(&(&self.pages, &self.placements, &self.first_chart, self.texels_per_metre));
         for p in self.meshes.iter().flatten().flat_map(|mesh| &mesh.primitives) {
             digest.values(&p.uvs);
             digest.values(&p.triangles);

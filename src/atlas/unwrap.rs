@@ -125,6 +125,8 @@ pub struct JoinedMesh {
 impl JoinedMesh {
     /// Adds all that its charts depend on.
     pub(super) fn feed(&self, digest: &mut Digest) {
+        // Warnings name it.
+        digest.bytes(self.name.as_bytes());
         digest.values(&self.positions);
         digest.values(&self.triangles);
         digest.values(&self.groups);

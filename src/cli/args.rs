@@ -182,13 +182,14 @@ pub struct BakeArgs {
     #[arg(long, default_value_t = 0, help_heading = "Run")]
     threads: usize,
     /// Keep charts and light in this folder, and use what is there: a bake that was stopped or killed goes on where it was
-    /// (work is kept every two minutes), and one with a lower target from what the last one found.
+    /// (work is kept every two minutes), and one with a lower target from what the last one found, its texels where they
+    /// were.
     #[arg(long, value_name = "DIR", help_heading = "Run")]
     cache: Option<PathBuf>,
     /// Most that this folder may hold; what was not used for longest goes [GiB].
     #[arg(long, default_value_t = 16.0, help_heading = "Run")]
     cache_limit: f64,
-    /// The same as --cache with the folder `.cache` among the results.
+    /// The same as --cache with the folder `.cache` among the results: give it from the first run on.
     #[arg(long, conflicts_with = "cache", help_heading = "Run")]
     resume: bool,
     /// (not built yet) Bake along a plan.

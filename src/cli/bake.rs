@@ -44,15 +44,15 @@ pub fn run(args: &BakeArgs, config: Config) -> Result<u8, BakeError> {
         None => bake(&scene, &options, &mut terminal),
     };
     terminal.finish();
-    if let (Err(BakeError::Cancelled), Some((folder, _))) = (&result, &cached) {
-        eprintln!("the work so far is kept in {}; the same command goes on from it", folder.display());
-    }
-    let mut bake = result?;
     if let Some(cache) = &mut cache {
         cache.trim();
         cache.warnings.iter().for_each(|w| terminal.warn(w));
-        bake.report.warnings.append(&mut cache.warnings);
     }
+    if let (Err(BakeError::Cancelled), Some(CacheFolder { keeps_light: true, .. })) = (&result, &cache) {
+        eprintln!("the light so far is kept; the same command goes on from it");
+    }
+    let mut bake = result?;
+    bake.report.warnings.extend(cache.into_iter().flat_map(|cache| cache.warnings));
     bake.report.peak_memory_bytes = peak_memory();
 
     let exr = ExrSettings {

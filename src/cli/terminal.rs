@@ -12,7 +12,7 @@ use std::time::Instant;
 /// Seconds between lines where stderr is not a terminal.
 const LINE_EVERY: f64 = 10.0;
 
-/// Shows progress on stderr; Ctrl-C cancels.
+/// Shows progress on stderr; Ctrl-C and SIGTERM cancel.
 pub struct Terminal {
     bar: Option<ProgressBar>,
     interrupted: Arc<AtomicBool>,
@@ -20,7 +20,7 @@ pub struct Terminal {
 }
 
 impl Terminal {
-    /// Takes over Ctrl-C.
+    /// Takes over Ctrl-C and SIGTERM.
     pub fn new() -> Terminal {
         let interrupted = Arc::new(AtomicBool::new(false));
         let flag = interrupted.clone();
@@ -30,6 +30,9 @@ impl Terminal {
                 std::process::exit(130);
             }
         });
+        // SIGTERM alone besides: a hang-up is for the terminal and nohup to decide.
+        #[cfg(unix)]
+        let _ = signal_hook::flag::register(signal_hook::consts::SIGTERM, interrupted.clone());
         let bar = std::io::stderr().is_terminal().then(|| {
             let bar = ProgressBar::new_spinner();
             bar.set_style(ProgressStyle::with_template("{spinner} {msg}").expect("a fixed template"));

@@ -25,7 +25,7 @@ pub struct Lighting {
 impl Lighting {
     /// Adds all that shines besides emissive surfaces.
     pub(crate) fn feed(&self, digest: &mut Digest) {
-        digest.debug(&(&self.lights, &self.groups));
+        digest.debug(&(&self.lights, &self.groups, self.sky.is_some()));
         self.sky.iter().for_each(|sky| sky.feed(digest));
     }
 

@@ -8,6 +8,7 @@ use crate::error::{BakeError, Warning};
 use std::fs::{self, File};
 use std::io::{self, BufReader, BufWriter, Read, Seek, SeekFrom, Write};
 use std::path::{Path, PathBuf};
+use std::sync::atomic::{AtomicU64, Ordering::Relaxed};
 use std::time::{Duration, Instant, SystemTime};
 
 /// What a file begins with.
@@ -17,8 +18,11 @@ const HASH: usize = blake3::OUT_LEN;
 const HEADER: usize = MAGIC.len() + HASH;
 
 /// Unfinished work is kept so often, but for no more than this share of the time.
-const EVERY: Duration = Duration::from_secs(120);
-const MOST_SHARE: f64 = 0.05;
+const KEEP_INTERVAL: Duration = Duration::from_secs(120);
+const KEEP_TIME_SHARE: f64 = 0.05;
+
+/// Files that were being written for longer than this were left by a process that was killed.
+const STALE: Duration = Duration::from_secs(24 * 3600);
 
 /// Keeps things in a folder, each until newer ones need its place.
 #[derive(Debug)]
@@ -30,6 +34,10 @@ pub struct CacheFolder {
     /// When work was kept last, and how long that took.
     last: (Instant, Duration),
     used: Vec<PathBuf>,
+    /// What may be sound, but could not be read now: not to be replaced by less.
+    unreadable: Vec<PathBuf>,
+    /// Whether light was kept when that was last tried.
+    pub keeps_light: bool,
     /// What could not be read or written.
     pub warnings: Vec<Warning>,
 }
@@ -44,27 +52,42 @@ impl CacheFolder {
         fs::create_dir_all(folder).map_err(io)?;
         fs::read_dir(folder).map_err(io)?;
         let mut hasher = blake3::Hasher::new();
-        // A program that cannot read itself is told from others by its version alone, which is part of all keys.
-        if let Ok(program) = std::env::current_exe().and_then(File::open) {
-            let _ = hasher.update_reader(program);
+        let program = std::env::current_exe().and_then(File::open);
+        if program.and_then(|program| hasher.update_reader(program).map(|_| ())).is_err() {
+            // What another build kept is not to be found by chance: nothing is.
+            hasher.update(unique().as_bytes());
         }
         let build = *hasher.finalize().as_bytes();
         let last = (Instant::now(), Duration::ZERO);
-        Ok(CacheFolder { folder: folder.into(), build, most_bytes, last, used: Vec::new(), warnings: Vec::new() })
+        Ok(CacheFolder {
+            folder: folder.into(),
+            build,
+            most_bytes,
+            last,
+            used: Vec::new(),
+            unreadable: Vec::new(),
+            keeps_light: false,
+            warnings: Vec::new(),
+        })
     }
 
     /// Removes what was not used for longest until the rest is within the limit. What this bake used stays.
     pub fn trim(&mut self) {
-        let mut files: Vec<(SystemTime, u64, PathBuf)> = fs::read_dir(&self.folder)
-            .into_iter()
-            .flatten()
-            .flatten()
-            .filter(|entry| entry.file_name().to_str().is_some_and(is_kept))
+        let entries = fs::read_dir(&self.folder).into_iter().flatten().flatten();
+        let all: Vec<(SystemTime, u64, PathBuf)> = entries
+            .filter(|entry| entry.file_name().to_str().is_some_and(is_ours))
             .filter_map(|entry| {
                 let metadata = entry.metadata().ok()?;
                 Some((metadata.modified().ok()?, metadata.len(), entry.path()))
             })
             .collect();
+        let (mut files, parts): (Vec<_>, Vec<_>) =
+            all.into_iter().partition(|f| f.2.extension() == Some("kept".as_ref()));
+        for (modified, _, path) in parts {
+            if modified.elapsed().is_ok_and(|age| age > STALE) {
+                let _ = fs::remove_file(path);
+            }
+        }
         files.sort();
         let mut all: u64 = files.iter().map(|f| f.1).sum();
         for (_, size, path) in files.into_iter().filter(|f| !self.used.contains(&f.2)) {
@@ -72,8 +95,9 @@ impl CacheFolder {
                 return;
             }
             // Another bake may have been faster.
-            let _ = fs::remove_file(path);
-            all -= size;
+            if fs::remove_file(path).is_ok() {
+                all -= size;
+            }
         }
     }
 
@@ -88,7 +112,7 @@ impl CacheFolder {
 
     fn write(&self, path: &Path, key: &Key, writing: &Writing) -> io::Result<()> {
         let mut to =
-            Hashing { to: BufWriter::with_capacity(1 << 20, File::create(path)?), hasher: blake3::Hasher::new() };
+            Hashing { to: BufWriter::with_capacity(1 << 20, File::create_new(path)?), hasher: blake3::Hasher::new() };
         to.write_all(MAGIC)?;
         to.write_all(&key.hash)?;
         writing(&mut to)?;
@@ -98,10 +122,17 @@ impl CacheFolder {
     }
 }
 
-/// Whether a file of a cache folder may have this name.
-fn is_kept(name: &str) -> bool {
+/// Whether a file of a cache folder may have this name, or had it while it was written.
+fn is_ours(name: &str) -> bool {
     let kinds = ["charts-", "density-", "light-"];
-    name.ends_with(".kept") && kinds.iter().any(|kind| name.starts_with(kind))
+    kinds.iter().any(|kind| name.starts_with(kind)) && (name.ends_with(".kept") || name.contains(".part-"))
+}
+
+/// Something that no other call gives, on this machine or others.
+fn unique() -> String {
+    static CALLS: AtomicU64 = AtomicU64::new(0);
+    let since = SystemTime::now().duration_since(SystemTime::UNIX_EPOCH).unwrap_or_default();
+    format!("{}-{}-{}", std::process::id(), since.as_nanos(), CALLS.fetch_add(1, Relaxed))
 }
 
 impl Cache for CacheFolder {
@@ -118,7 +149,8 @@ impl Cache for CacheFolder {
             }
             Err(e) if e.kind() == io::ErrorKind::NotFound => None,
             Err(e) => {
-                self.warn(format!("{}: cannot be read: {e}; it is not used", path.display()));
+                self.warn(format!("{}: cannot be read: {e}; it is not used, nor replaced", path.display()));
+                self.unreadable.push(path);
                 None
             }
         }
@@ -127,8 +159,14 @@ impl Cache for CacheFolder {
     fn keep(&mut self, key: &Key, writing: &Writing) {
         let started = Instant::now();
         let path = self.path(key);
-        let part = path.with_extension(format!("part-{}", std::process::id()));
+        if self.unreadable.contains(&path) {
+            return;
+        }
+        let part = path.with_extension(format!("part-{}", unique()));
         let written = self.write(&part, key, writing).and_then(|()| fs::rename(&part, &path));
+        if key.kind == "light" {
+            self.keeps_light = written.is_ok();
+        }
         if let Err(e) = written {
             let _ = fs::remove_file(&part);
             let what = format!("{}: cannot be written: {e}; the next bake does that work again", path.display());
@@ -142,7 +180,7 @@ impl Cache for CacheFolder {
 
     fn is_due(&self) -> bool {
         let (at, took) = self.last;
-        at.elapsed() > EVERY.max(took.div_f64(MOST_SHARE))
+        at.elapsed() > KEEP_INTERVAL.max(took.div_f64(KEEP_TIME_SHARE))
     }
 }
 
@@ -165,7 +203,7 @@ fn checked(path: &Path, key: &Key) -> io::Result<Option<Box<dyn Read>>> {
         return Ok(None);
     }
     // What was used last is removed last; a folder that cannot be written to serves as well.
-    let _ = file.set_modified(SystemTime::now());
+    let _ = File::options().append(true).open(path).and_then(|f| f.set_modified(SystemTime::now()));
     file.seek(SeekFrom::Start(HEADER as u64))?;
     Ok(Some(Box::new(BufReader::with_capacity(1 << 20, file.take(contents)))))
 }
@@ -250,13 +288,22 @@ mod tests {
         for n in 1..=4 {
             cache.keep(&key(n), &|to| to.write_all(&[0; 1000]));
             let at = SystemTime::UNIX_EPOCH + Duration::from_secs(n.into());
-            File::open(cache.path(&key(n))).and_then(|f| f.set_modified(at)).expect("a time");
+            File::options().append(true).open(cache.path(&key(n))).and_then(|f| f.set_modified(at)).expect("a time");
         }
+        // What a process that was killed left, and one that is at work.
+        let parts = ["light-0.part-1", "light-0.part-2"].map(|name| folder.path().join(name));
+        parts.iter().for_each(|part| fs::write(part, [0; 10]).expect("written"));
+        File::options()
+            .append(true)
+            .open(&parts[0])
+            .and_then(|f| f.set_modified(SystemTime::UNIX_EPOCH))
+            .expect("a time");
         cache.used.clear();
         assert!(cache.load(&key(1)).is_some());
         cache.trim();
         let left: Vec<bool> = (1..=4).map(|n| cache.path(&key(n)).exists()).collect();
         assert_eq!(left, [true, false, false, true]);
         assert!(folder.path().join("notes.txt").exists());
+        assert_eq!(parts.map(|part| part.exists()), [false, true]);
     }
 }

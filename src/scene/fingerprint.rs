@@ -7,6 +7,7 @@ impl Scene {
     /// Adds all that a bake computes with: not names of files, cameras, warnings, or the document.
     pub(crate) fn feed(&self, digest: &mut Digest) {
         let Scene { meshes, instances, materials, textures, lights, sky, .. } = self;
+        digest.debug(&(meshes.len(), textures.len(), sky.is_some()));
         meshes.iter().for_each(|mesh| mesh.feed(digest));
         digest.debug(instances);
         digest.debug(materials);
@@ -23,6 +24,7 @@ impl Mesh {
     fn feed(&self, digest: &mut Digest) {
         let Mesh { name, primitives, .. } = self;
         digest.bytes(name.as_bytes());
+        digest.debug(&primitives.len());
         for p in primitives {
             digest.values(&p.positions);
             digest.values(&p.normals);

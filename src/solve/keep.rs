@@ -8,7 +8,7 @@ use super::{Course, Earlier, Gathering, LightSeconds, Solver};
 use crate::error::BakeError;
 use crate::light::Direct;
 use crate::observer::Progress;
-use crate::photon::Sums;
+use crate::photon::{PhotonKind, Sums};
 
 /// All of it: direct light, what is in the bins, photons of both kinds, what was gathered, what is decided, and seconds
 /// of light and since the first call.
@@ -27,8 +27,12 @@ impl Solver<'_, '_> {
         progress
     }
 
-    /// Keeps the work so far.
+    /// Keeps the work so far, unless it is all that of an earlier bake.
     pub(super) fn keep(&mut self) {
+        if self.rays() == self.earlier.rays {
+            return;
+        }
+        // What is concluded from a round is concluded again: it may be done with another target.
         let course = self.traced.as_ref().unwrap_or(&self.course);
         let elapsed = self.earlier.elapsed + self.began.elapsed().as_secs_f64();
         let shots = [&self.diffuse, &self.caustics];
@@ -58,6 +62,13 @@ impl Solver<'_, '_> {
         };
         (self.direct, self.diffuse, self.caustics) = (direct, diffuse, caustics);
         (self.gathering, self.course) = (gathering, course);
+        // Time may run out before the next photons start: what there is then was brought by those before.
+        for (kind, photons) in
+            [(PhotonKind::Diffuse, self.diffuse.photons), (PhotonKind::Caustic, self.caustics.photons)]
+        {
+            let starts = (photons > 0).then(|| self.starts(kind));
+            self.shots(kind).starts = starts;
+        }
         (self.seconds, self.earlier) = (seconds, Earlier { rays: self.rays(), elapsed, seconds });
     }
 }

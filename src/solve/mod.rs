@@ -344,7 +344,7 @@ impl Solver<'_, '_> {
                 match self.bounded(wish) {
                     Ok(next) => {
                         self.last = Some(self.outlook(&solution, self.wish(&solution, f64::INFINITY).as_ref()));
-                        let now = self.report_progress()?;
+                        let now = self.pause()?;
                         let last = self.course.rounds.last_mut();
                         last.into_iter().for_each(|last| *last = RoundSeconds::new(&now));
                         self.observer.stage(Stage::Light);

@@ -14,7 +14,7 @@ const LARGEST_NET_BITS: u32 = 21;
 #[derive(Debug, Default, Serialize, Deserialize)]
 pub(super) struct Shots {
     pub(super) flux: Option<Flux>,
-    /// Where photons of each half started last: direct light says.
+    /// Where photons of each half started last: not kept, for direct light tells it.
     #[serde(skip)]
     pub(super) starts: Option<[StartTable; 2]>,
     /// Photons per half.
@@ -58,11 +58,8 @@ impl Solver<'_, '_> {
     /// Shoots the photons of one kind that the round has left, in nets; the limit that ended them early.
     pub(super) fn shoot(&mut self, kind: PhotonKind) -> Result<Option<&'static str>, BakeError> {
         let mut started = Instant::now();
-        let LightPath { surface: Surface { texels, crevice, .. }, visibility, .. } = self.path;
-        let starts = [0, 1].map(|h| match kind {
-            PhotonKind::Diffuse => StartTable::new(texels, &self.direct, h),
-            PhotonKind::Caustic => StartTable::of_specular(visibility.world, texels, &self.direct, h),
-        });
+        let crevice = self.path.surface.crevice;
+        let starts = self.starts(kind);
         let total = starts[0].total().max(starts[1].total());
         if total <= 0.0 {
             return Ok(None);
@@ -89,8 +86,7 @@ impl Solver<'_, '_> {
             }
             let (net, bits) =
                 (self.shots(kind).nets, left.min(allowed).ilog2().clamp(LEAST_NET_BITS, LARGEST_NET_BITS));
-            let shooting =
-                Shooting { kind, seed, flux, starts: &starts, direct: &self.direct, light, crevice: *crevice };
+            let shooting = Shooting { kind, seed, flux, starts: &starts, direct: &self.direct, light, crevice };
             let mut ledger = EnergyLedger::default();
             for (half, start) in starts.iter().enumerate() {
                 // A half whose direct samples found no light sends out nothing, but its photons count.
@@ -115,6 +111,15 @@ impl Solver<'_, '_> {
         Ok(limit)
     }
 
+    /// Where photons start by the direct light so far.
+    pub(super) fn starts(&self, kind: PhotonKind) -> [StartTable; 2] {
+        let LightPath { surface: Surface { texels, .. }, visibility, .. } = self.path;
+        [0, 1].map(|h| match kind {
+            PhotonKind::Diffuse => StartTable::new(texels, &self.direct, h),
+            PhotonKind::Caustic => StartTable::of_specular(visibility.world, texels, &self.direct, h),
+        })
+    }
+
     /// Photons per half that the round has left.
     fn left(&mut self, kind: PhotonKind) -> &mut u64 {
         match kind {
@@ -123,7 +128,7 @@ impl Solver<'_, '_> {
         }
     }
 
-    fn shots(&mut self, kind: PhotonKind) -> &mut Shots {
+    pub(super) fn shots(&mut self, kind: PhotonKind) -> &mut Shots {
         match kind {
             PhotonKind::Diffuse => &mut self.diffuse,
             PhotonKind::Caustic => &mut self.caustics,

@@ -271,12 +271,31 @@ impl SceneBuilder {
         self
     }
 
+    /// Declares the extensions that materials, textures and nodes use, as a file has to.
+    fn declare(&mut self) {
+        let mut left = ["materials", "textures", "nodes"].map(|list| self.json[list].clone()).to_vec();
+        while let Some(value) = left.pop() {
+            for name in value["extensions"].as_object().into_iter().flatten().map(|(name, _)| name) {
+                let used = &mut self.json["extensionsUsed"];
+                if !used.as_array().is_some_and(|u| u.iter().any(|e| e == name)) {
+                    push_to(used, json!(name));
+                }
+            }
+            match value {
+                Value::Array(all) => left.extend(all),
+                Value::Object(all) => left.extend(all.into_iter().map(|(_, inner)| inner)),
+                _ => {}
+            }
+        }
+    }
+
     fn push(&mut self, list: &str, value: Value) -> usize {
         push_to(&mut self.json[list], value)
     }
 
     /// The scene as a GLB file.
     pub fn glb(mut self) -> Vec<u8> {
+        self.declare();
         if !self.bin.is_empty() {
             self.json["buffers"] = json!([{"byteLength": self.bin.len()}]);
             self.placeholder.into_iter().for_each(|p| _ = push_to(&mut self.json["buffers"], p));
@@ -300,6 +319,7 @@ impl SceneBuilder {
 
     /// The scene as one `.gltf` file, its buffer as a data URI.
     pub fn gltf(mut self) -> String {
+        self.declare();
         if !self.bin.is_empty() {
             let data = base64::engine::general_purpose::STANDARD.encode(&self.bin);
             let uri = format!("data:application/octet-stream;base64,{data}");

@@ -12,6 +12,7 @@ mod accessor;
 mod area;
 mod container;
 mod extension;
+mod faults;
 mod ies;
 mod image_based;
 mod light;
@@ -71,6 +72,7 @@ fn load_document(path: &Path, bytes: &[u8], options: &LoadOptions) -> Result<Sce
     let (mut document, warnings) = container::read(path, bytes)?;
     let mut reader = Reader::new(&document, warnings);
     extension::check(&mut reader)?;
+    let faults = faults::find(reader.document);
     let mut warnings = reader.warnings;
     unpack::unpack(&mut document, &mut warnings)?;
     let mut reader = Reader::new(&document, warnings);
@@ -106,7 +108,8 @@ fn load_document(path: &Path, bytes: &[u8], options: &LoadOptions) -> Result<Sce
         )));
     }
     let (materials, textures) = material::read_all(&mut reader, &mut meshes)?;
-    let warnings = reader.warnings;
+    let mut warnings = reader.warnings;
+    warnings.extend(faults);
     Ok(Scene {
         name: path.file_stem().unwrap_or_default().to_string_lossy().into_owned(),
         meshes,
