@@ -179,7 +179,7 @@ fn a_resumed_bake_without_time_states_the_error_of_what_is_there() {
         assert!(matches!(stopped, Err(BakeError::Cancelled)), "call {last}");
         let hurried = BakeOptions { time_limit: Some(1e-3), ..options() };
         let late = cached(&scene, &hurried, &mut cache);
-        assert_eq!(late.report.limit.as_deref(), Some("time-limit"), "call {last}");
+        assert_eq!(late.report.limit, Some("time-limit"), "call {last}");
         let error = late.report.texel_error_percent;
         assert!(error > 0.9 * whole.report.texel_error_percent, "call {last}: {error}");
         told.push(error);
