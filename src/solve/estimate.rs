@@ -249,7 +249,9 @@ impl Solver<'_, '_> {
             // Bias is smoothed noise: of what is noisier there is more. What is gathered is not smoothed among photons:
             // called its own, the bias of direct light had photons asked for that could not lower it.
             let smooth = if self.has_gathered(instance) { 0.0 } else { photons };
-            let per_noise = bias.likely() / (sum.soft + sum.caustic + smooth).max(1e-300);
+            let noise = sum.soft + sum.caustic + smooth;
+            // Without noise the bias is that of indirect light; a quotient would overflow in bright light.
+            let per_noise = if noise > 0.0 { bias.likely() / noise } else { 0.0 };
             let [of_direct, of_caustic] = [sum.soft * per_noise, sum.caustic * per_noise];
             Squares {
                 apart: sum.apart + starts,
