@@ -4,15 +4,18 @@
 
 mod common;
 
+use common::glb::SceneBuilder;
 use common::rooms::{Builder, plain, run};
-use common::runs::{node_mean, one_round, samples};
+use common::runs::{grey, node_mean, one_round, samples};
 use common::stage::Stage;
 use common::statistics::{ALPHA, normal_upper_quantile, sidak, welch_score};
-use evenlight::options::Smoothing;
+use evenlight::options::{Audits, Smoothing};
 use evenlight::photon::{Bins, Deposit, DepositSink, Trail};
 use evenlight::scene::Scene;
-use evenlight::{Bake, BakeOptions};
+use evenlight::{Bake, BakeOptions, NoObserver, bake};
 use glam::{DVec3, Vec2, Vec3};
+use serde_json::json;
+use std::path::Path;
 
 /// Texels of the page, squared.
 const PAGE: u32 = 64;
@@ -165,4 +168,221 @@ fn full_bins_lose_no_step() {
     assert_eq!(bins.flux(0, texel(0.3)), [(CALLS * (1 << 15) * u64::from(u32::MAX)) as i64; 3]);
     assert_eq!(bins.flux(0, texel(0.45)), [1; 3]);
     assert_eq!(bins.flux(1, texel(0.3)), [0; 3]);
+}
+
+/// Two closed rooms, their lamps 1 : 1e12. What a room receives is twice the flux of its lamp, as in any closed room of
+/// albedo 0.5: the sum of 1, 1/2, 1/4, ... Errors are relative to the mean of the map, so that no photon is spent on the dim
+/// room and direct light is all that it has; as a group of its own, its lamp has photons.
+#[test]
+fn a_dim_room_is_right_beside_one_a_trillion_times_as_bright() {
+    let mut b = Builder::new(PAGE);
+    let wall = b.diffuse(0.5, 0.0);
+    b.room(Vec3::ZERO, Vec3::splat(3.0), wall, 6);
+    b.room(Vec3::new(4.0, 0.0, 0.0), Vec3::new(7.0, 3.0, 3.0), wall, 6);
+    b.point_light(Vec3::new(1.5, 1.5, 1.5), 1e12);
+    b.point_light(Vec3::new(5.5, 1.5, 1.5), 1.0);
+    let scene = b.finish();
+    let groups = vec![("bright".into(), "light 0".into()), ("dim".into(), "light 1".into())];
+    for (groups, reflected) in [(Vec::new(), 0.0), (groups, 1.0)] {
+        let bake = run(&scene, &BakeOptions { groups, ..plain(PAGE, 2.0) });
+        let mut received = [0.0; 2];
+        for i in 0..bake.texels.mapped {
+            let area = f64::from(bake.texels.texels[i].area) * bake.world.frame.metres.powi(2);
+            let e = bake.solution.total.mean(i);
+            assert!(e.is_finite() && e.min_element() >= 0.0, "texel {i}: {e}");
+            received[bake.solution.weights.instance[i] as usize / 6] += grey(e) * area;
+        }
+        for (room, (candela, share)) in [(1e12, 2.0), (1.0, 1.0 + reflected)].into_iter().enumerate() {
+            let found = received[room] / (4.0 * std::f64::consts::PI * candela);
+            // Half the target of 2 %: noise of texels averages out over a room.
+            assert!((found / share - 1.0).abs() <= 0.01, "room {room}: {found}, not {share}");
+        }
+    }
+}
+
+/// Bakes what a file holds and checks what must hold whatever it is; the codes of its warnings, or `None` where an error
+/// says that there is nothing to bake.
+fn survives(what: &str, builder: SceneBuilder, options: &BakeOptions) -> Option<Vec<&'static str>> {
+    let file = format!("{what}.glb");
+    let scene = match evenlight::scene::gltf::load_bytes(Path::new(&file), &builder.glb()) {
+        Ok(scene) => scene,
+        Err(e) => {
+            assert!(e.to_string().contains(&file), "{what}: {e} does not name the file");
+            return None;
+        }
+    };
+    let bake = match bake(&scene, options, &mut NoObserver) {
+        Ok(bake) => bake,
+        Err(e) => {
+            assert!(!e.to_string().is_empty(), "{what}");
+            return None;
+        }
+    };
+    assert_eq!(bake.solution.ledger.imbalance(), [0; 3], "{what}");
+    let sums = &bake.solution.total;
+    let texels = sums.odd.iter().chain(&sums.even).map(|e| e.to_array());
+    let stored = bake.lightmap.pages.iter().flat_map(|p| &p.irradiance).copied();
+    for e in texels.chain(stored) {
+        assert!(e.iter().all(|c| c.is_finite() && *c >= 0.0), "{what}: a texel is {e:?}");
+    }
+    assert!(bake.report.texel_error_percent.is_finite(), "{what}: no error is stated");
+    Some(bake.report.warnings.iter().map(|w| w.code).collect())
+}
+
+/// A few rounds into small maps.
+fn hasty() -> BakeOptions {
+    BakeOptions {
+        target_percent: 20.0,
+        max_photons: Some(1 << 14),
+        max_texture: PAGE,
+        time_limit: Some(10.0),
+        audit: Audits::Off,
+        ..BakeOptions::default()
+    }
+}
+
+/// A room of 4 x 3 x 4 m with a lamp.
+fn lit_room(albedo: f32) -> SceneBuilder {
+    SceneBuilder::new().material("wall", [albedo; 3]).room("room", [0.0; 3], [4.0, 3.0, 4.0]).point_light(
+        "lamp",
+        [2.25, 2.0, 1.75],
+        [10.0; 3],
+    )
+}
+
+/// Two boxes in the open with a lamp.
+fn yard(albedo: f32) -> SceneBuilder {
+    SceneBuilder::new()
+        .material("wall", [albedo; 3])
+        .cuboid("low", [0.0; 3], [4.0, 1.0, 4.0])
+        .cuboid("high", [1.0, 1.25, 1.0], [2.0, 2.0, 2.0])
+        .point_light("lamp", [3.0, 2.0, 3.0], [10.0; 3])
+}
+
+/// A quad of the floor's plane at `y`, seen from above.
+fn sheet(y: f32, lo: [f32; 2], hi: [f32; 2]) -> [[f32; 3]; 4] {
+    [[lo[0], y, hi[1]], [hi[0], y, hi[1]], [hi[0], y, lo[1]], [lo[0], y, lo[1]]]
+}
+
+/// Geometry that no modeller means to make.
+#[test]
+fn odd_geometry_bakes() {
+    let none: &[[f32; 3]] = &[];
+    let sliver = [[0.5, 1.0, 0.5], [3.5, 1.0, 0.5], [2.0, 1.0, 0.500_003]];
+    // An edge from (1, 1) to (3, 1) on one side, halved by a corner at (2, 1) on the other.
+    let t_junction =
+        [[1.0, 1.0, 1.0], [3.0, 1.0, 1.0], [2.0, 1.0, 3.0], [2.0, 1.0, 1.0], [1.0, 1.0, 0.0], [3.0, 1.0, 0.0]];
+    let flat = [[1.0, 1.0, 1.0], [2.0, 1.0, 1.0], [3.0, 1.0, 1.0], [1.0, 1.0, 1.0]];
+    let triangle = [[1.0, 1.0, 1.0], [1.0, 1.0, 2.0], [2.0, 1.0, 1.0]];
+    let down = triangle.map(|_| [0.0, -1.0, 0.0]);
+    let lamp = || SceneBuilder::new().material("grey", [0.5; 3]).point_light("lamp", [1.25, 2.0, 1.25], [10.0; 3]);
+    let cases = [
+        ("a sliver", lit_room(0.5).mesh("sliver", &sliver, none, &[], &[[0, 2, 1]])),
+        ("a sliver alone", lamp().mesh("sliver", &sliver, none, &[], &[[0, 2, 1]])),
+        (
+            "a T-junction",
+            lit_room(0.5).mesh("t", &t_junction, none, &[], &[[0, 2, 1], [0, 3, 4], [3, 5, 4], [3, 1, 5]]),
+        ),
+        ("the same face twice", lit_room(0.5).quad("a", sheet(1.0, [1.0; 2], [2.0; 2])).instance("b")),
+        (
+            "the same triangle twice",
+            lit_room(0.5).mesh("twice", &triangle, none, &[], &[[0, 1, 2], [0, 1, 2], [0, 2, 1]]),
+        ),
+        (
+            "solids in one another",
+            lit_room(0.5).cuboid("a", [1.0; 3], [2.0; 3]).cuboid("b", [1.5; 3], [2.5, 2.5, 2.75]),
+        ),
+        ("a solid through a wall", lit_room(0.5).cuboid("a", [-1.0, 1.0, 1.0], [1.0, 2.0, 2.0])),
+        ("normals turned over", lit_room(0.5).mesh("over", &triangle, &down, &[], &[[0, 1, 2]])),
+        ("no area", lit_room(0.5).mesh("flat", &flat, none, &[], &[[0, 1, 2], [0, 3, 1], [0, 0, 0]])),
+        ("no area at all", lamp().mesh("flat", &flat, none, &[], &[[0, 1, 2], [0, 3, 1]])),
+        ("one triangle", lamp().mesh("one", &triangle, none, &[], &[[0, 1, 2]])),
+        ("a wall 1e-6 m thin", lit_room(0.5).cuboid("wall", [2.0, 0.0, 0.0], [2.000_001, 3.0, 4.0])),
+        (
+            "two sheets 1e-6 m apart",
+            lit_room(0.5).quad("a", sheet(1.0, [1.0; 2], [3.0; 2])).quad("b", sheet(1.000_001, [1.0; 2], [3.0; 2])),
+        ),
+        ("scaled to nothing", lit_room(0.5).cuboid("a", [1.0; 3], [2.0; 3]).with("scale", json!([0, 0, 0]))),
+        ("flattened", lit_room(0.5).cuboid("a", [1.0; 3], [2.0; 3]).with("scale", json!([1, 0, 1]))),
+        (
+            "as large as f32",
+            lit_room(0.5)
+                .cuboid("a", [1.0; 3], [2.0; 3])
+                .with("scale", json!([1e30, 1e30, 1e30]))
+                .with("translation", json!([1e38, -1e38, 0])),
+        ),
+        ("beyond f32", lit_room(0.5).cuboid("a", [1.0; 3], [2.0; 3]).with("scale", json!([1e39, 1, 1]))),
+        (
+            "a corner that is no number",
+            lit_room(0.5).mesh(
+                "nan",
+                &[[f32::NAN, 0.0, 0.0], [1.0, 0.0, 0.0], [1.0, 1.0, 0.0]],
+                none,
+                &[],
+                &[[0, 1, 2]],
+            ),
+        ),
+    ];
+    for (what, scene) in cases {
+        let warnings = survives(what, scene, &hasty());
+        assert_eq!(warnings.is_none(), what == "no area at all", "{what}: {warnings:?}");
+        let said = match what {
+            "no area" | "flattened" => "degenerate-triangles",
+            "scaled to nothing" | "beyond f32" => "odd-transform",
+            "a corner that is no number" => "non-finite-position",
+            "the same face twice" | "the same triangle twice" => "coincident-surfaces",
+            _ => continue,
+        };
+        assert!(warnings.is_some_and(|w| w.contains(&said)), "{what}: not said");
+    }
+}
+
+/// Surface that keeps all light or none, or would make some, and lights at the ends of their range. White surface stands in
+/// the open: in a closed white room light never ends.
+#[test]
+fn odd_materials_and_lights_bake() {
+    let spot =
+        |inner, outer| lit_room(0.5).spot_light("spot", [2.0, 2.5, 2.0], [0.0, -1.0, 0.0], [10.0; 3], inner, outer);
+    let right = std::f32::consts::FRAC_PI_2;
+    let cases = [
+        ("black", lit_room(0.0)),
+        ("white", yard(1.0)),
+        ("whiter than white", yard(2.0)),
+        ("a spot of 0 degrees", spot(0.0, 0.0)),
+        ("a hard spot of 90 degrees", spot(right, right)),
+        ("a soft spot of 90 degrees", spot(0.0, right)),
+        ("a lamp on the floor", lit_room(0.5).point_light("low", [1.0, 0.0, 1.0], [10.0; 3])),
+        ("a lamp in a corner", lit_room(0.5).point_light("low", [0.0; 3], [10.0; 3])),
+        ("a lamp in a solid", lit_room(0.5).cuboid("a", [1.0; 3], [2.0; 3]).point_light("in", [1.5; 3], [10.0; 3])),
+        ("a lamp of 1e15 cd", lit_room(0.5).point_light("sun", [1.0; 3], [1e15; 3])),
+        (
+            "a lamp of 1e-15 cd",
+            SceneBuilder::new()
+                .material("g", [0.5; 3])
+                .room("r", [0.0; 3], [4.0; 3])
+                .point_light("dim", [1.0; 3], [1e-15; 3]),
+        ),
+    ];
+    for (what, scene) in cases {
+        let warnings = survives(what, scene, &hasty()).unwrap_or_else(|| panic!("{what}: refused"));
+        let said = match what {
+            "whiter than white" => "odd-material",
+            "a spot of 0 degrees" => "odd-spot",
+            _ => continue,
+        };
+        assert!(warnings.contains(&said), "{what}: not said");
+    }
+}
+
+/// Hundreds of charts on a page of 16 texels: baked, with a warning.
+#[test]
+fn hundreds_of_charts_on_a_tiny_page() {
+    let mut builder = lit_room(0.5);
+    for k in 0..300u16 {
+        let (x, z) = (f32::from(k % 20) * 0.2, f32::from(k / 20) * 0.2);
+        builder = builder.quad(&format!("sheet {k}"), sheet(0.5 + f32::from(k) / 512.0, [x, z], [x + 0.1, z + 0.1]));
+    }
+    let options = BakeOptions { max_texture: 16, gutter: 1, ..hasty() };
+    let warnings = survives("hundreds of charts", builder, &options).expect("it bakes");
+    assert!(warnings.contains(&"chart-larger-than-page"), "{warnings:?}");
 }
