@@ -264,10 +264,7 @@ impl SceneBuilder {
     }
 
     fn uses(mut self, extension: &str) -> Self {
-        let used = &mut self.json["extensionsUsed"];
-        if !used.as_array().is_some_and(|u| u.iter().any(|e| e == extension)) {
-            push_to(used, json!(extension));
-        }
+        declare(&mut self.json["extensionsUsed"], extension);
         self
     }
 
@@ -276,10 +273,7 @@ impl SceneBuilder {
         let mut left = ["materials", "textures", "nodes"].map(|list| self.json[list].clone()).to_vec();
         while let Some(value) = left.pop() {
             for name in value["extensions"].as_object().into_iter().flatten().map(|(name, _)| name) {
-                let used = &mut self.json["extensionsUsed"];
-                if !used.as_array().is_some_and(|u| u.iter().any(|e| e == name)) {
-                    push_to(used, json!(name));
-                }
+                declare(&mut self.json["extensionsUsed"], name);
             }
             match value {
                 Value::Array(all) => left.extend(all),
@@ -337,6 +331,12 @@ fn rgba(c: [f32; 3]) -> [f32; 4] {
 /// The rotation that turns -Z to `direction`.
 fn aim(direction: [f32; 3]) -> [f32; 4] {
     Quat::from_rotation_arc(Vec3::NEG_Z, Vec3::from(direction).normalize_or(Vec3::NEG_Z)).to_array()
+}
+
+fn declare(used: &mut Value, extension: &str) {
+    if !used.as_array().is_some_and(|u| u.iter().any(|e| e == extension)) {
+        push_to(used, json!(extension));
+    }
 }
 
 /// Appends to an array, which null becomes; returns the index.

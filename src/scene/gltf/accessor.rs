@@ -90,6 +90,24 @@ impl<'d> Reader<'d> {
         Ok((values, largest))
     }
 
+    /// The numbers of an accessor's own data as they are stored, not normalised, with the element and the component that
+    /// each is; none where it has no such data, replaces some of it, or cannot be read.
+    pub(super) fn stored(&mut self, index: usize) -> impl Iterator<Item = (usize, usize, f64)> + use<'d> {
+        let a = self.accessor(index, "").ok().filter(|a| a.sparse.is_none());
+        let data = a.and_then(|a| Some((a.base?, a.count, a.components, a.component)));
+        data.into_iter().flat_map(|(base, count, components, component)| {
+            (0..count).flat_map(move |i| {
+                (0..components).map(move |c| {
+                    let b = &base.bytes[i * base.stride + c * size_of(component)..];
+                    let whole = component == ComponentType::U32;
+                    let value =
+                        if whole { f64::from(unsigned(b, component)) } else { f64::from(number(b, component, false)) };
+                    (i, c, value)
+                })
+            })
+        })
+    }
+
     fn accessor(&mut self, index: usize, by: &str) -> Result<Accessor<'d>, SceneError> {
         let raw: json::Accessor = self.object("accessors", index, by)?;
         let label = self.label("accessors", index);

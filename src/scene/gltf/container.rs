@@ -12,7 +12,8 @@ use base64::engine::DecodePaddingMode;
 use base64::engine::general_purpose::{GeneralPurpose, GeneralPurposeConfig};
 use serde_json::Value;
 use std::borrow::Cow;
-use std::fs;
+use std::fs::{self, File};
+use std::io::BufReader;
 use std::path::{Path, PathBuf};
 
 const JSON_CHUNK: u32 = 0x4E4F_534A;
@@ -38,11 +39,19 @@ fn invalid(path: &Path, what: impl Into<String>) -> SceneError {
 
 /// Contents of a plain file: a folder or a pipe is refused rather than waited for.
 pub(super) fn read_file(path: &Path) -> Result<Vec<u8>, SceneError> {
-    let io = |source| SceneError::Io { path: path.into(), source };
-    if !fs::metadata(path).map_err(io)?.is_file() {
-        return Err(invalid(path, "is not a file; give a .glb or .gltf file"));
-    }
-    fs::read(path).map_err(io)
+    check_file(path)?;
+    fs::read(path).map_err(|source| SceneError::Io { path: path.into(), source })
+}
+
+/// A plain file to read from; as [`read_file`].
+pub(super) fn open_file(path: &Path) -> Result<BufReader<File>, SceneError> {
+    check_file(path)?;
+    File::open(path).map(BufReader::new).map_err(|source| SceneError::Io { path: path.into(), source })
+}
+
+fn check_file(path: &Path) -> Result<(), SceneError> {
+    let metadata = fs::metadata(path).map_err(|source| SceneError::Io { path: path.into(), source })?;
+    if metadata.is_file() { Ok(()) } else { Err(invalid(path, "is not a file; give a .glb or .gltf file")) }
 }
 
 /// JSON and binary chunk of a GLB file.
@@ -176,8 +185,8 @@ pub(super) fn is_data_uri(uri: &str) -> bool {
     data_of(uri).is_some()
 }
 
-/// What follows `data:`.
-fn data_of(uri: &str) -> Option<&str> {
+/// What follows `data:` in a data URI.
+pub(super) fn data_of(uri: &str) -> Option<&str> {
     uri.get(..5).filter(|s| s.eq_ignore_ascii_case("data:")).map(|s| &uri[s.len()..])
 }
 

@@ -3,12 +3,12 @@
 //!
 //! The rules are those of glTF 2.0 and its extensions that readers do not check themselves.
 
-use super::container;
-use super::{Document, Reader};
-use crate::error::Warning;
+use super::{Document, Reader, container};
+use crate::error::{SceneError, Warning};
+use image::{ImageFormat, ImageReader};
 use serde_json::{Map, Value};
-use std::borrow::Cow;
 use std::collections::BTreeSet;
+use std::io::{BufRead, Cursor, Seek};
 
 /// Most faults that are named.
 const MOST: usize = 8;
@@ -29,10 +29,6 @@ const LISTS: [&str; 13] = [
     "skins",
     "textures",
 ];
-
-/// Where extensions belong whose place says what they mean: the pointer of an object, with `*` for an index.
-const PLACES: [(&str, &str); 3] =
-    [("KHR_materials_", "/materials/*"), ("EXT_texture_webp", "/textures/*"), ("KHR_texture_basisu", "/textures/*")];
 
 /// Numbers of materials and their least and largest values.
 const RANGES: [(&str, f64, f64); 16] = [
@@ -68,6 +64,45 @@ pub(super) fn find(document: &Document) -> Vec<Warning> {
     warnings
 }
 
+/// The list whose objects an extension belongs to, if to those of one alone.
+fn list_of(extension: &str) -> Option<&'static str> {
+    match extension {
+        // Chosen by primitives, and named at the top.
+        "KHR_materials_variants" => None,
+        "EXT_texture_webp" | "KHR_texture_basisu" => Some("textures"),
+        _ => extension.starts_with("KHR_materials_").then_some("materials"),
+    }
+}
+
+/// Whether the pointer `at` is that of an object of `list`.
+fn is_object_of(list: &str, at: &str) -> bool {
+    let index = at.strip_prefix('/').and_then(|at| at.strip_prefix(list)?.strip_prefix('/'));
+    index.is_some_and(|index| !index.contains('/'))
+}
+
+/// What a data URI says its data is, and whether that is well-formed; `None` for other URIs.
+fn type_of_data(uri: &str) -> Option<(String, bool)> {
+    let head = container::data_of(uri)?.split(',').next().unwrap_or_default();
+    let mut parts = head.split(';');
+    let mime = parts.next().unwrap_or_default().to_ascii_lowercase();
+    Some((mime, !parts.any(str::is_empty)))
+}
+
+/// Type of an image, and whether its head tells its size; `None` where glTF does not know it. That of KTX2 is not read.
+fn look(mut from: impl BufRead + Seek) -> Option<(&'static str, bool)> {
+    if from.fill_buf().is_ok_and(|head| head.starts_with(b"\xABKTX 20\xBB")) {
+        return Some(("image/ktx2", true));
+    }
+    let reader = ImageReader::new(from).with_guessed_format().ok()?;
+    let is = match reader.format()? {
+        ImageFormat::Png => "image/png",
+        ImageFormat::Jpeg => "image/jpeg",
+        ImageFormat::WebP => "image/webp",
+        _ => return None,
+    };
+    Some((is, reader.into_dimensions().is_ok()))
+}
+
 struct Finder<'d> {
     document: &'d Document,
     faults: Vec<String>,
@@ -87,13 +122,13 @@ impl<'d> Finder<'d> {
             }
         }
         self.extensions();
-        self.each("bufferViews", Finder::buffer_view);
+        self.each("bufferViews", |finder, _, at, view| finder.buffer_view(at, view));
         self.each("accessors", Finder::accessor);
-        self.each("buffers", |finder, at, buffer| {
+        self.each("buffers", |finder, _, at, buffer| {
             finder.data_uri(at, buffer, &["application/octet-stream", "application/gltf-buffer"])
         });
         self.each("images", Finder::image);
-        self.each("textures", |finder, at, texture| {
+        self.each("textures", |finder, _, at, texture| {
             finder.refers(at, texture, "source", "images");
             finder.refers(at, texture, "sampler", "samplers");
             for name in ["EXT_texture_webp", "KHR_texture_basisu"] {
@@ -102,7 +137,7 @@ impl<'d> Finder<'d> {
                 }
             }
         });
-        self.each("materials", |finder, at, material| finder.material(at, material));
+        self.each("materials", |finder, _, at, material| finder.material(at, material));
     }
 
     fn add(&mut self, pointer: &str, what: &str) {
@@ -110,12 +145,10 @@ impl<'d> Finder<'d> {
     }
 
     /// Looks at each object of a list.
-    fn each(&mut self, list: &str, look: impl Fn(&mut Finder<'d>, &str, &'d Map<String, Value>)) {
+    fn each(&mut self, list: &str, look: impl Fn(&mut Finder<'d>, usize, &str, &'d Map<String, Value>)) {
         let all = self.document.json.get(list).and_then(Value::as_array).into_iter().flatten();
-        for (i, value) in all.enumerate() {
-            if let Value::Object(object) = value {
-                look(self, &format!("/{list}/{i}"), object);
-            }
+        for (i, object) in all.enumerate().filter_map(|(i, value)| Some((i, value.as_object()?))) {
+            look(self, i, &format!("/{list}/{i}"), object);
         }
     }
 
@@ -151,31 +184,26 @@ impl<'d> Finder<'d> {
                 }
             }
         }
-        let mut left = vec![(String::new(), String::new(), &self.document.json)];
-        while let Some((at, place, value)) = left.pop() {
-            let children: Vec<(String, String, &Value)> = match value {
-                Value::Object(object) => object
-                    .iter()
-                    .filter(|(key, _)| *key != "extras")
-                    .map(|(key, value)| (format!("{at}/{key}"), format!("{place}/{key}"), value))
-                    .collect(),
-                Value::Array(all) if all.iter().any(|v| v.is_object() || v.is_array()) => {
-                    all.iter().enumerate().map(|(i, v)| (format!("{at}/{i}"), format!("{place}/*"), v)).collect()
-                }
-                _ => Vec::new(),
-            };
+        let mut left = vec![(String::new(), &self.document.json)];
+        while let Some((at, value)) = left.pop() {
             let extensions = value.get("extensions").and_then(Value::as_object);
             for name in extensions.into_iter().flat_map(Map::keys) {
                 let pointer = format!("{at}/extensions/{name}");
-                let right = PLACES.iter().find(|(known, _)| name.starts_with(known)).map(|p| p.1);
-                // A variant is chosen by primitives, and named at the top.
-                let right = if name == "KHR_materials_variants" { None } else { right };
                 if !declared.contains(name.as_str()) {
                     self.add(&pointer, "is not declared in extensionsUsed");
-                } else if right.is_some_and(|right| right != place) {
+                } else if list_of(name).is_some_and(|list| !is_object_of(list, &at)) {
                     self.add(&pointer, "means nothing there");
                 }
             }
+            let mut children: Vec<(String, &Value)> = match value {
+                Value::Object(object) => {
+                    let inner = object.iter().filter(|(key, _)| *key != "extras");
+                    inner.map(|(key, value)| (format!("{at}/{key}"), value)).collect()
+                }
+                Value::Array(all) => all.iter().enumerate().map(|(i, value)| (format!("{at}/{i}"), value)).collect(),
+                _ => Vec::new(),
+            };
+            children.retain(|(_, value)| value.is_object() || value.is_array());
             left.extend(children.into_iter().rev());
         }
     }
@@ -207,7 +235,7 @@ impl<'d> Finder<'d> {
         }
     }
 
-    fn accessor(&mut self, at: &str, accessor: &'d Map<String, Value>) {
+    fn accessor(&mut self, index: usize, at: &str, accessor: &'d Map<String, Value>) {
         for key in ["componentType", "count", "type"] {
             if !accessor.contains_key(key) {
                 self.add(at, &format!("has no {key}"));
@@ -228,66 +256,30 @@ impl<'d> Finder<'d> {
             }
         }
         if sparse.is_none() {
-            self.values(at, accessor);
+            self.values(index, at, accessor);
         }
     }
 
     /// Values that are no numbers, or outside of what `min` and `max` say.
-    fn values(&mut self, at: &str, accessor: &'d Map<String, Value>) {
-        let number = |object: &Map<String, Value>, key: &str| object.get(key).and_then(Value::as_u64);
-        let Some(view) = number(accessor, "bufferView")
-            .and_then(|v| self.document.json.get("bufferViews")?.get(v as usize)?.as_object())
-        else {
-            return;
-        };
-        let Some(buffer) = number(view, "buffer").and_then(|b| self.document.buffers.get(b as usize)) else { return };
-        let width = match accessor.get("type").and_then(Value::as_str) {
-            Some("SCALAR") => 1,
-            Some("VEC2") => 2,
-            Some("VEC3") => 3,
-            Some("VEC4") => 4,
-            _ => return,
-        };
-        let Some(component) = number(accessor, "componentType") else { return };
-        let bytes = match component {
-            5120 | 5121 => 1,
-            5122 | 5123 => 2,
-            5125 | 5126 => 4,
-            _ => return,
-        };
-        let bounds = |key: &str| -> Option<Vec<f64>> {
-            let all = accessor.get(key)?.as_array()?;
-            (all.len() == width).then(|| all.iter().map(|v| v.as_f64().unwrap_or(f64::NAN)).collect())
+    fn values(&mut self, index: usize, at: &str, accessor: &'d Map<String, Value>) {
+        let bounds = |key: &str| -> Vec<f64> {
+            let all = accessor.get(key).and_then(Value::as_array).into_iter().flatten();
+            all.map(|v| v.as_f64().unwrap_or(f64::NAN)).collect()
         };
         let [min, max] = ["min", "max"].map(bounds);
-        if component != 5126 && min.is_none() && max.is_none() {
+        let floats = accessor.get("componentType").and_then(Value::as_u64) == Some(5126);
+        if !floats && min.is_empty() && max.is_empty() {
             return;
         }
-        let stride = number(view, "byteStride").unwrap_or((width * bytes) as u64) as usize;
-        let start = number(view, "byteOffset").unwrap_or(0).saturating_add(number(accessor, "byteOffset").unwrap_or(0));
-        let Some(data) = usize::try_from(start).ok().and_then(|start| buffer.get(start..)) else { return };
-        let count = number(accessor, "count").unwrap_or(0).min(1 + (data.len() / stride.max(1)) as u64) as usize;
-        let value = |b: &[u8]| match component {
-            5120 => f64::from(b[0] as i8),
-            5121 => f64::from(b[0]),
-            5122 => f64::from(i16::from_le_bytes([b[0], b[1]])),
-            5123 => f64::from(u16::from_le_bytes([b[0], b[1]])),
-            5125 => f64::from(u32::from_le_bytes([b[0], b[1], b[2], b[3]])),
-            _ => f64::from(f32::from_le_bytes([b[0], b[1], b[2], b[3]])),
-        };
         let mut outside = 0usize;
-        for i in 0..count {
-            let Some(element) = data.get(i * stride..).and_then(|d| d.get(..width * bytes)) else { break };
-            for (k, b) in element.chunks_exact(bytes).enumerate() {
-                let v = value(b);
-                if !v.is_finite() {
-                    return self.add(at, &format!("holds a value that is no number, in element {i}"));
-                }
-                // Bounds are written in decimal, of floats.
-                let low = min.as_ref().is_some_and(|min| v < min[k] && v < f64::from(min[k] as f32));
-                let high = max.as_ref().is_some_and(|max| v > max[k] && v > f64::from(max[k] as f32));
-                outside += usize::from(low || high);
+        for (i, c, v) in Reader::new(self.document, Vec::new()).stored(index) {
+            if !v.is_finite() {
+                return self.add(at, &format!("holds a value that is no number, in element {i}"));
             }
+            // Bounds are written in decimal, of floats.
+            let low = min.get(c).is_some_and(|&min| v < min && v < f64::from(min as f32));
+            let high = max.get(c).is_some_and(|&max| v > max && v > f64::from(max as f32));
+            outside += usize::from(low || high);
         }
         if outside > 0 {
             self.add(at, &format!("holds {outside} values outside of its min and max"));
@@ -298,24 +290,21 @@ impl<'d> Finder<'d> {
     fn data_uri(&mut self, at: &str, object: &Map<String, Value>, types: &[&str]) {
         let Some(uri) = object.get("uri").and_then(Value::as_str) else { return };
         let pointer = format!("{at}/uri");
-        if !container::is_data_uri(uri) {
+        let Some((mime, well_formed)) = type_of_data(uri) else {
             let scheme = uri.split_once(':').map(|(scheme, _)| scheme);
             if scheme.is_some_and(|s| s.is_empty() || s.contains(['/', '?', '#'])) {
                 self.add(&pointer, "is no URI");
             }
             return;
-        }
-        let (head, _) = uri.split_once(',').unwrap_or((uri, ""));
-        let head = head.get("data:".len()..).unwrap_or_default();
-        let mime = head.split(';').next().unwrap_or_default().to_ascii_lowercase();
+        };
         if !types.contains(&mime.as_str()) {
             self.add(&pointer, &format!("is of the type `{mime}`, not {}", types.join(" or ")));
-        } else if head.split(';').skip(1).any(str::is_empty) {
+        } else if !well_formed {
             self.add(&pointer, "is no data URI");
         }
     }
 
-    fn image(&mut self, at: &str, image: &'d Map<String, Value>) {
+    fn image(&mut self, index: usize, at: &str, image: &'d Map<String, Value>) {
         const TYPES: [&str; 4] = ["image/png", "image/jpeg", "image/webp", "image/ktx2"];
         self.refers(at, image, "bufferView", "bufferViews");
         if image.contains_key("uri") == image.contains_key("bufferView") {
@@ -326,29 +315,34 @@ impl<'d> Finder<'d> {
         if self.faults.len() > before {
             return;
         }
-        let bytes = match image.get("uri").and_then(Value::as_str) {
-            Some(uri) => match container::read_uri(&self.document.path, uri, at) {
-                Ok(bytes) => Cow::Owned(bytes),
-                Err(e) => return self.add(&format!("{at}/uri"), &format!("cannot be read: {e}")),
-            },
+        let uri = image.get("uri").and_then(Value::as_str);
+        let unreadable = |e: SceneError| format!("cannot be read: {e}");
+        // Of a file only the head is looked at: whoever uses it reads it whole.
+        let looked = match uri.filter(|uri| !container::is_data_uri(uri)) {
+            Some(uri) => {
+                let file = container::file_of_uri(&self.document.path, uri, at);
+                file.and_then(|file| container::open_file(&file)).map_err(unreadable).map(look)
+            }
             None => {
-                let reader = Reader::new(self.document, Vec::new());
-                let view = image.get("bufferView").and_then(Value::as_u64);
-                let Some((bytes, _)) = view.and_then(|v| reader.view(v as usize, at).ok()) else { return };
-                Cow::Borrowed(bytes)
+                match Reader::new(self.document, Vec::new()).image_bytes(&self.document.json["images"][index], at) {
+                    Ok(Some(bytes)) => Ok(look(Cursor::new(bytes))),
+                    Err(e) if uri.is_some() => Err(unreadable(e)),
+                    _ => return,
+                }
             }
         };
-        let is = match image::guess_format(&bytes) {
-            Ok(image::ImageFormat::Png) => "image/png",
-            Ok(image::ImageFormat::Jpeg) => "image/jpeg",
-            Ok(image::ImageFormat::WebP) => "image/webp",
-            _ if bytes.starts_with(b"\xABKTX 20\xBB") => return,
-            _ => return self.add(at, "is no image that glTF knows"),
+        let (is, is_whole) = match looked {
+            Ok(Some(looked)) => looked,
+            Ok(None) => return self.add(at, "is no image that glTF knows"),
+            Err(what) => return self.add(&format!("{at}/uri"), &what),
         };
-        let uri = image.get("uri").and_then(Value::as_str).filter(|uri| container::is_data_uri(uri));
-        let of_uri = uri.and_then(|uri| uri.get("data:".len()..)?.split([';', ',']).next());
+        if is == "image/ktx2" {
+            return;
+        }
+        let of_uri = uri.and_then(type_of_data).map(|(mime, _)| mime);
         let says = image.get("mimeType").and_then(Value::as_str);
-        if let Some(other) = [of_uri, says].into_iter().flatten().find(|mime| !mime.eq_ignore_ascii_case(is)) {
+        if let Some(other) = [of_uri.as_deref(), says].into_iter().flatten().find(|mime| !mime.eq_ignore_ascii_case(is))
+        {
             self.add(at, &format!("is {is}, not {other} as it says"));
         }
         let used = self.document.json.get("extensionsUsed").and_then(Value::as_array);
@@ -356,8 +350,7 @@ impl<'d> Finder<'d> {
         if is == "image/webp" && !webp {
             self.add(at, "is WebP, which takes the extension EXT_texture_webp");
         }
-        let reader = image::ImageReader::new(std::io::Cursor::new(&bytes)).with_guessed_format();
-        if reader.is_ok_and(|reader| reader.into_dimensions().is_err()) {
+        if !is_whole {
             self.add(at, "is cut off or damaged");
         }
     }

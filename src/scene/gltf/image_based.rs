@@ -10,7 +10,6 @@
 //! *Orientation.* The extension asks for the faces of OpenGL mirrored left to right, which is how they look from inside
 //! in glTF's right-handed space. Where they join better as OpenGL has them, the file was written so, and is read so.
 
-use super::container;
 use super::light::light_index;
 use super::reader::{REPAIR, Reader};
 use crate::error::SceneError;
@@ -19,6 +18,7 @@ use glam::{Quat, Vec3};
 use image::{DynamicImage, ImageFormat, ImageReader};
 use serde::Deserialize;
 use serde_json::Value;
+use std::borrow::Cow;
 use std::io::Cursor;
 
 /// The list of lights, as messages call it.
@@ -112,14 +112,10 @@ fn read_faces(reader: &mut Reader, light: &Value, label: &str) -> Result<(usize,
 }
 
 /// Bytes of an image; for a sky there is nothing to take in its place.
-fn image_bytes(reader: &Reader, index: usize, by: &str) -> Result<Vec<u8>, SceneError> {
-    let raw = reader.value("images", index, by)?;
+fn image_bytes<'d>(reader: &Reader<'d>, index: usize, by: &str) -> Result<Cow<'d, [u8]>, SceneError> {
     let label = reader.label("images", index);
-    match (raw.get("bufferView").and_then(Value::as_u64), raw.get("uri").and_then(Value::as_str)) {
-        (Some(view), _) => Ok(reader.view(usize::try_from(view).unwrap_or(usize::MAX), &label)?.0.to_vec()),
-        (None, Some(uri)) => container::read_uri(&reader.document.path, uri, &label),
-        (None, None) => Err(reader.invalid(format!("{label} of {by} has neither a uri nor a bufferView; {REPAIR}"))),
-    }
+    let bytes = reader.image_bytes(reader.value("images", index, by)?, &label)?;
+    bytes.ok_or_else(|| reader.invalid(format!("{label} of {by} has neither a uri nor a bufferView; {REPAIR}")))
 }
 
 /// Format and edge [texels] of an image that can be a face.

@@ -1,6 +1,5 @@
 //! Materials and the textures they use. A material or image that nothing uses is not looked at.
 
-use super::container;
 use super::extension;
 use super::primitive::has_tex_coord;
 use super::reader::Reader;
@@ -230,16 +229,12 @@ fn read_image(reader: &mut Reader, index: usize, by: &str) -> Result<Option<Enco
     let uri = raw.get("uri").and_then(|u| u.as_str());
     let file = uri.filter(|u| !u.starts_with("data:"));
     let name = reader.name("images", index).or(file).map_or_else(|| format!("image {index}"), str::to_owned);
-    if let Some(view) = raw.get("bufferView").and_then(|v| v.as_u64()) {
-        let (bytes, _) = reader.view(view as usize, &label)?;
-        return Ok(Some(EncodedImage { name, bytes: bytes.into() }));
-    }
-    let Some(uri) = uri else {
-        reader.warn("image-not-found", format!("{label} has neither a uri nor a bufferView and is taken as white"));
-        return Ok(None);
-    };
-    match container::read_uri(&reader.document.path, uri, &label) {
-        Ok(bytes) => Ok(Some(EncodedImage { name, bytes: bytes.into() })),
+    match reader.image_bytes(raw, &label) {
+        Ok(Some(bytes)) => Ok(Some(EncodedImage { name, bytes: bytes.into() })),
+        Ok(None) => {
+            reader.warn("image-not-found", format!("{label} has neither a uri nor a bufferView and is taken as white"));
+            Ok(None)
+        }
         Err(SceneError::Io { path, source }) => {
             let message = format!("{label}: cannot read {} ({source}); it is taken as white", path.display());
             reader.warn("image-not-found", message);

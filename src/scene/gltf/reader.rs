@@ -1,12 +1,13 @@
 //! What all readers share: checked access to the JSON's objects, and the warnings found on the way.
 
-use super::Document;
 use super::area::PANELS;
 use super::ies::PROFILES;
 use super::image_based::SURROUNDINGS;
+use super::{Document, container};
 use crate::error::{SceneError, Warning};
 use serde::Deserialize;
 use serde_json::Value;
+use std::borrow::Cow;
 
 /// Most accessor elements (vertices, indices) one file may make us read: 2^28. A small file can refer to the
 /// same data any number of times, so its size alone bounds nothing.
@@ -75,6 +76,18 @@ impl<'d> Reader<'d> {
         all.get(index).ok_or_else(|| {
             self.invalid(format!("{by} refers to {list}[{index}], but the file has only {}; {REPAIR}", all.len()))
         })
+    }
+
+    /// Bytes of the image `raw`, which `label` names; `None` where it has neither a bufferView nor a uri.
+    pub(super) fn image_bytes(&self, raw: &'d Value, label: &str) -> Result<Option<Cow<'d, [u8]>>, SceneError> {
+        match (raw.get("bufferView").and_then(Value::as_u64), raw.get("uri").and_then(Value::as_str)) {
+            (Some(view), _) => {
+                let view = usize::try_from(view).unwrap_or(usize::MAX);
+                Ok(Some(Cow::Borrowed(self.view(view, label)?.0)))
+            }
+            (None, Some(uri)) => container::read_uri(&self.document.path, uri, label).map(|bytes| Some(bytes.into())),
+            (None, None) => Ok(None),
+        }
     }
 
     /// The same as one of the crate's types.
