@@ -40,19 +40,6 @@ pub struct Bake<'s> {
     pub backs: LitBacks,
 }
 
-/// [`bake`] with a `cache`: takes from it what is there, goes on from the light that it has, and keeps there what is done.
-///
-/// # Errors
-/// As [`bake`].
-pub fn bake_with_cache<'s>(
-    scene: &'s Scene,
-    options: &BakeOptions,
-    cache: &mut dyn Cache,
-    observer: &mut dyn Observer,
-) -> Result<Bake<'s>, BakeError> {
-    bake_on_threads(scene, options, Some(cache), observer)
-}
-
 /// Bakes `scene`: unwraps, traces until the target is met or a limit binds, and makes the maps. Reads no files
 /// but a sky image named in the options, writes and prints nothing. The result depends on the scene, the
 /// options and the seed alone; on time only where a time limit binds.
@@ -60,10 +47,14 @@ pub fn bake_with_cache<'s>(
 /// # Errors
 /// [`BakeError`] names the object and the cure.
 pub fn bake<'s>(scene: &'s Scene, options: &BakeOptions, observer: &mut dyn Observer) -> Result<Bake<'s>, BakeError> {
-    bake_on_threads(scene, options, None, observer)
+    bake_with_cache(scene, options, None, observer)
 }
 
-fn bake_on_threads<'s>(
+/// [`bake`] with a `cache`: takes from it what is there, goes on from the light that it has, and keeps there what is done.
+///
+/// # Errors
+/// As [`bake`].
+pub fn bake_with_cache<'s>(
     scene: &'s Scene,
     options: &BakeOptions,
     cache: Option<&mut dyn Cache>,

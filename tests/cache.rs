@@ -111,7 +111,7 @@ fn bits(bake: &Bake) -> (Vec<u32>, String) {
 }
 
 fn cached<'s>(scene: &'s Scene, options: &BakeOptions, cache: &mut Memory) -> Bake<'s> {
-    bake_with_cache(scene, options, cache, &mut NoObserver).expect("the bake succeeds")
+    bake_with_cache(scene, options, Some(cache), &mut NoObserver).expect("the bake succeeds")
 }
 
 #[test]
@@ -129,7 +129,7 @@ fn a_bake_stopped_at_any_moment_ends_as_if_it_never_had_been() {
     for last in 1..=calls {
         let mut cache = Memory { files: charts.files.clone(), ..Memory::new() };
         cache.files.retain(|name, _| !name.starts_with("light"));
-        let stopped = bake_with_cache(&scene, &options(), &mut cache, &mut StopAt::call(last));
+        let stopped = bake_with_cache(&scene, &options(), Some(&mut cache), &mut StopAt::call(last));
         assert!(matches!(stopped, Err(BakeError::Cancelled)), "call {last} of {calls}");
         charts = cache.clone();
         let resumed = cached(&scene, &options(), &mut cache);
@@ -140,7 +140,7 @@ fn a_bake_stopped_at_any_moment_ends_as_if_it_never_had_been() {
     let mut cache = Memory::new();
     let mut stops = 0;
     let end = loop {
-        match bake_with_cache(&scene, &options(), &mut cache, &mut StopAt::call(3)) {
+        match bake_with_cache(&scene, &options(), Some(&mut cache), &mut StopAt::call(3)) {
             Ok(bake) => break bake,
             Err(BakeError::Cancelled) => stops += 1,
             Err(e) => panic!("{e}"),
@@ -175,7 +175,7 @@ fn a_resumed_bake_without_time_states_the_error_of_what_is_there() {
     let mut told = Vec::new();
     for last in 4..=7 {
         let mut cache = Memory::new();
-        let stopped = bake_with_cache(&scene, &options(), &mut cache, &mut StopAt::call(last));
+        let stopped = bake_with_cache(&scene, &options(), Some(&mut cache), &mut StopAt::call(last));
         assert!(matches!(stopped, Err(BakeError::Cancelled)), "call {last}");
         let hurried = BakeOptions { time_limit: Some(1e-3), ..options() };
         let late = cached(&scene, &hurried, &mut cache);
@@ -278,7 +278,7 @@ fn groups_of_lights_go_on_each_by_itself() {
     let mut cache = Memory::new();
     let mut stops = 0;
     let end = loop {
-        match bake_with_cache(&scene, &options, &mut cache, &mut StopAt::call(5)) {
+        match bake_with_cache(&scene, &options, Some(&mut cache), &mut StopAt::call(5)) {
             Ok(bake) => break bake,
             Err(_) => stops += 1,
         }

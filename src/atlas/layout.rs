@@ -3,8 +3,9 @@
 use super::chart::charts_of;
 use super::density::{Layout, Unit, UnitLayout, full_density, lay_out};
 use super::select::{Selected, select};
-use super::unwrap;
-use super::unwrap::{IGNORED, JoinedMesh, Limits, UnwrapError, Unwrapped, Unwrapper, default_time_limit, unwrap_mesh};
+use super::unwrap::{
+    IGNORED, JoinedMesh, Limits, UnwrapError, Unwrapped, Unwrapper, code_of_mesh, default_time_limit, unwrap_mesh,
+};
 use super::uvunwrap::Uvunwrap;
 use super::xatlas::XatlasWorker;
 use super::{Atlas, MeshLayout, NO_CHART, Placement, PrimitiveLayout, keep};
@@ -268,13 +269,13 @@ fn kept_charts(slot: &mut Slot, meshes: &[JoinedMesh]) -> Option<Vec<(Unwrapped,
     if kept.len() != meshes.len() || !meshes.iter().zip(&kept).all(fits) {
         return None;
     }
-    let warning = |(code, message): (String, String)| Some(Warning::new(unwrap::known_code(&code)?, message));
+    let warning = |(code, message): (String, String)| Some(Warning::new(code_of_mesh(&code)?, message));
     Some(kept.into_iter().map(|(c, warnings)| (c, warnings.into_iter().filter_map(warning).collect())).collect())
 }
 
-/// Keeps charts, unless the clock had a part in them: others may come out the next time.
+/// Keeps charts, unless more than their meshes had a part in them: others may come out the next time.
 fn keep_charts(slot: &mut Slot, charts: &[(Unwrapped, Vec<Warning>)]) {
-    if charts.iter().flat_map(|c| &c.1).any(|w| unwrap::BY_THE_CLOCK.contains(&w.code)) {
+    if charts.iter().flat_map(|c| &c.1).any(|w| code_of_mesh(w.code).is_none()) {
         return;
     }
     let of = |w: &Warning| (w.code.to_string(), w.message.clone());

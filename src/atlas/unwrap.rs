@@ -140,14 +140,12 @@ impl JoinedMesh {
     }
 }
 
-/// Warnings of charts that are as they are because time ran out, or a child process ended.
-pub(super) const BY_THE_CLOCK: [&str; 3] = ["unwrap-time-limit", "unwrapper-timed-out", "unwrapper-crashed"];
-
-/// The code of a warning of this module that was written down as `code`.
-pub(super) fn known_code(code: &str) -> Option<&'static str> {
-    let others =
+/// The code of a warning of this module that the mesh alone brings about, written down as `code`; `None` for others, of
+/// charts that are as they are because time ran out or a child process ended.
+pub(super) fn code_of_mesh(code: &str) -> Option<&'static str> {
+    let all =
         ["unwrapper-failed", "unwrapper-dropped", "unwrapper-faulty", "non-finite-triangles", "degenerate-triangles"];
-    others.into_iter().find(|known| *known == code)
+    all.into_iter().find(|known| *known == code)
 }
 
 /// The group of triangles that get no chart on purpose.

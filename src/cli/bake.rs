@@ -13,7 +13,7 @@ use evenlight::output::{Staging, preview, report_html, write_atomically};
 use evenlight::report::Report;
 use evenlight::scene::gltf::LoadOptions;
 use evenlight::scene::{Camera, Projection, Scene};
-use evenlight::{Bake, BakeError, BakeOptions, Observer, bake, bake_with_cache};
+use evenlight::{Bake, BakeError, BakeOptions, Cache, Observer, bake_with_cache};
 use std::path::{Path, PathBuf};
 
 /// Pixels of the longer side of a view.
@@ -39,10 +39,8 @@ pub fn run(args: &BakeArgs, config: Config) -> Result<u8, BakeError> {
 
     let mut terminal = Terminal::new();
     let mut cache = cached.as_ref().map(|(folder, most)| CacheFolder::open(folder, *most)).transpose()?;
-    let result = match &mut cache {
-        Some(cache) => bake_with_cache(&scene, &options, cache, &mut terminal),
-        None => bake(&scene, &options, &mut terminal),
-    };
+    let lent = cache.as_mut().map(|cache| cache as &mut dyn Cache);
+    let result = bake_with_cache(&scene, &options, lent, &mut terminal);
     terminal.finish();
     if let Some(cache) = &mut cache {
         cache.trim();

@@ -1,14 +1,14 @@
 //! A cache in a folder: a file for each thing that is kept.
 //!
-//! A file holds sixteen bytes that name the format, the key, the contents, and a hash (BLAKE3) of all before. It appears whole or not at all,
-//! and one that is not whole is never used.
+//! A file holds sixteen bytes that name the format, the key, the contents, and a hash (BLAKE3) of all before. It appears
+//! whole or not at all, and one that is not whole is never used.
 
+use super::files::{PART, replace, unique};
 use crate::cache::{Cache, Key, Writing};
 use crate::error::{BakeError, Warning};
 use std::fs::{self, File};
 use std::io::{self, BufReader, BufWriter, Read, Seek, SeekFrom, Write};
 use std::path::{Path, PathBuf};
-use std::sync::atomic::{AtomicU64, Ordering::Relaxed};
 use std::time::{Duration, Instant, SystemTime};
 
 /// What a file begins with.
@@ -109,30 +109,22 @@ impl CacheFolder {
     fn warn(&mut self, what: String) {
         self.warnings.push(Warning::new("cache", what));
     }
+}
 
-    fn write(&self, path: &Path, key: &Key, writing: &Writing) -> io::Result<()> {
-        let mut to =
-            Hashing { to: BufWriter::with_capacity(1 << 20, File::create_new(path)?), hasher: blake3::Hasher::new() };
-        to.write_all(MAGIC)?;
-        to.write_all(&key.hash)?;
-        writing(&mut to)?;
-        let Hashing { mut to, hasher } = to;
-        to.write_all(hasher.finalize().as_bytes())?;
-        to.into_inner()?.sync_all()
-    }
+fn write(file: &mut File, key: &Key, writing: &Writing) -> io::Result<()> {
+    let mut to = Hashing { to: BufWriter::with_capacity(1 << 20, file), hasher: blake3::Hasher::new() };
+    to.write_all(MAGIC)?;
+    to.write_all(&key.hash)?;
+    writing(&mut to)?;
+    let Hashing { mut to, hasher } = to;
+    to.write_all(hasher.finalize().as_bytes())?;
+    to.flush()
 }
 
 /// Whether a file of a cache folder may have this name, or had it while it was written.
 fn is_ours(name: &str) -> bool {
     let kinds = ["charts-", "density-", "light-"];
-    kinds.iter().any(|kind| name.starts_with(kind)) && (name.ends_with(".kept") || name.contains(".part-"))
-}
-
-/// Something that no other call gives, on this machine or others.
-fn unique() -> String {
-    static CALLS: AtomicU64 = AtomicU64::new(0);
-    let since = SystemTime::now().duration_since(SystemTime::UNIX_EPOCH).unwrap_or_default();
-    format!("{}-{}-{}", std::process::id(), since.as_nanos(), CALLS.fetch_add(1, Relaxed))
+    kinds.iter().any(|kind| name.starts_with(kind)) && (name.ends_with(".kept") || name.contains(PART))
 }
 
 impl Cache for CacheFolder {
@@ -162,13 +154,11 @@ impl Cache for CacheFolder {
         if self.unreadable.contains(&path) {
             return;
         }
-        let part = path.with_extension(format!("part-{}", unique()));
-        let written = self.write(&part, key, writing).and_then(|()| fs::rename(&part, &path));
+        let written = replace(&path, |file| write(file, key, writing));
         if key.kind == "light" {
             self.keeps_light = written.is_ok();
         }
         if let Err(e) = written {
-            let _ = fs::remove_file(&part);
             let what = format!("{}: cannot be written: {e}; the next bake does that work again", path.display());
             if !self.warnings.iter().any(|w| w.message == what) {
                 self.warn(what);

@@ -2,8 +2,10 @@
 
 use crate::error::BakeError;
 use std::fs;
-use std::io::Write;
+use std::io::{self, Write};
 use std::path::{Path, PathBuf};
+use std::sync::atomic::{AtomicU64, Ordering::Relaxed};
+use std::time::SystemTime;
 
 /// New files of a folder, kept apart in a folder within it until all are complete. Dropped unpublished, they
 /// are removed, and what the folder held before is as it was.
@@ -85,15 +87,30 @@ impl Drop for Staging {
 /// # Errors
 /// [`BakeError::Io`] names the file; nothing is left behind.
 pub fn write_atomically(path: &Path, bytes: &[u8]) -> Result<(), BakeError> {
-    let io = |source| BakeError::Io { path: path.into(), source };
+    replace(path, |file| file.write_all(bytes)).map_err(|source| BakeError::Io { path: path.into(), source })
+}
+
+/// In the name of a file that is being written.
+pub(super) const PART: &str = ".part-";
+
+/// Puts what `write` writes in the place of `path`, once it is whole; else `path` is as it was, and nothing is left.
+pub(super) fn replace(path: &Path, write: impl FnOnce(&mut fs::File) -> io::Result<()>) -> io::Result<()> {
     let mut name = path.file_name().unwrap_or_default().to_os_string();
-    name.push(format!(".part-{}", std::process::id()));
+    name.push(PART);
+    name.push(unique());
     let part = path.with_file_name(name);
-    let written = fs::File::create(&part)
-        .and_then(|mut f| f.write_all(bytes).and_then(|()| f.sync_all()))
+    let written = fs::File::create_new(&part)
+        .and_then(|mut file| write(&mut file).and_then(|()| file.sync_all()))
         .and_then(|()| fs::rename(&part, path));
-    written.map_err(|e| {
+    if written.is_err() {
         let _ = fs::remove_file(&part);
-        io(e)
-    })
+    }
+    written
+}
+
+/// What no other call gives, on this machine or others.
+pub(super) fn unique() -> String {
+    static CALLS: AtomicU64 = AtomicU64::new(0);
+    let since = SystemTime::now().duration_since(SystemTime::UNIX_EPOCH).unwrap_or_default();
+    format!("{}-{}-{}", std::process::id(), since.as_nanos(), CALLS.fetch_add(1, Relaxed))
 }

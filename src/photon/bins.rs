@@ -75,10 +75,15 @@ impl<'t> Bins<'t> {
 
     fn empty(&self) -> Sums {
         let empty = |count: usize| (0..count).map(|_| Default::default()).collect();
+        let [mapped, caustics, backs] = self.lengths();
+        let backs = (0..backs).map(|_| AtomicI64::new(0)).collect();
+        Sums { halves: [empty(mapped), empty(mapped)], caustics: [empty(caustics), empty(caustics)], backs }
+    }
+
+    /// Texels of the map, those that have caustics, and triangles.
+    fn lengths(&self) -> [usize; 3] {
         let Bins { texels, world, .. } = self;
-        let all = if world.is_specular() { texels.texels.len() } else { 0 };
-        let backs = (0..world.len()).map(|_| AtomicI64::new(0)).collect();
-        Sums { halves: [empty(texels.mapped), empty(texels.mapped)], caustics: [empty(all), empty(all)], backs }
+        [texels.mapped, if world.is_specular() { texels.texels.len() } else { 0 }, world.len()]
     }
 
     /// What is in them.
@@ -90,12 +95,11 @@ impl<'t> Bins<'t> {
     /// memory taken for both.
     pub fn put(&mut self, load: impl FnOnce() -> Option<Sums>) -> bool {
         self.sums = Sums::default();
-        let Bins { texels, world, .. } = self;
-        let all = if world.is_specular() { texels.texels.len() } else { 0 };
+        let [mapped, caustics, backs] = self.lengths();
         let fits = |s: &Sums| {
-            s.halves.iter().all(|h| h.len() == texels.mapped)
-                && s.caustics.iter().all(|c| c.len() == all)
-                && s.backs.len() == world.len()
+            s.halves.iter().all(|h| h.len() == mapped)
+                && s.caustics.iter().all(|c| c.len() == caustics)
+                && s.backs.len() == backs
         };
         let found = load().filter(fits);
         let fit = found.is_some();

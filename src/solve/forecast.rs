@@ -36,25 +36,23 @@ pub struct LightSeconds {
 }
 
 impl LightSeconds {
-    /// Without those of `earlier`, which are in them.
-    pub(super) fn since(&self, earlier: &LightSeconds) -> LightSeconds {
-        LightSeconds {
-            direct: self.direct - earlier.direct,
-            photons: self.photons - earlier.photons,
-            gather: self.gather - earlier.gather,
-            estimate: self.estimate - earlier.estimate,
-            audit: self.audit - earlier.audit,
-        }
-    }
-
     /// Of both.
     pub(super) fn plus(&self, o: &LightSeconds) -> LightSeconds {
+        self.with(o, |a, b| a + b)
+    }
+
+    /// Without those of `earlier`, which are in them.
+    pub(super) fn since(&self, earlier: &LightSeconds) -> LightSeconds {
+        self.with(earlier, |a, b| a - b)
+    }
+
+    fn with(&self, o: &LightSeconds, of: impl Fn(f64, f64) -> f64) -> LightSeconds {
         LightSeconds {
-            direct: self.direct + o.direct,
-            photons: self.photons + o.photons,
-            gather: self.gather + o.gather,
-            estimate: self.estimate + o.estimate,
-            audit: self.audit + o.audit,
+            direct: of(self.direct, o.direct),
+            photons: of(self.photons, o.photons),
+            gather: of(self.gather, o.gather),
+            estimate: of(self.estimate, o.estimate),
+            audit: of(self.audit, o.audit),
         }
     }
 }

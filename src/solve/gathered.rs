@@ -27,22 +27,16 @@ impl Solver<'_, '_> {
             return Ok(());
         }
         // Gathered once, light stays as it is until more rays are asked for or the map it came from is much better.
-        let gathered = &self.course.gathered;
-        let fresh: Vec<(usize, (u32, u64))> = (0..gathered.len())
-            .filter(|&i| gathered[i] > 0)
-            .map(|i| (i, (gathered[i], self.diffuse.photons)))
-            .filter(|&(i, (rays, photons))| {
-                let (had, at) = self.gathering.at[i];
-                had != rays || photons >= GATHER_AGAIN * at
-            })
-            .collect();
-        let mut again = vec![None; gathered.len()];
-        fresh.iter().for_each(|&(i, state)| again[i] = Some(state));
-        let instances = self.weights.instance.clone();
-        let instance = |texel: u32| instances[texel as usize] as usize;
-        let wants = |e: &Element| again[instance(e.texel)].map(|state: (u32, u64)| (e.texel, state.0));
-        let mut wanted: Vec<(u32, u32)> = tree.elements.iter().filter_map(wants).collect();
-        wanted.sort_by_key(|w| instance(w.0));
+        let states: Vec<(u32, u64)> = self.course.gathered.iter().map(|&rays| (rays, self.diffuse.photons)).collect();
+        let is_fresh = |i: usize| {
+            let ((rays, photons), (had, at)) = (states[i], self.gathering.at[i]);
+            rays > 0 && (had != rays || photons >= GATHER_AGAIN * at)
+        };
+        let instance = |texel: u32| self.weights.instance[texel as usize] as usize;
+        let texels = tree.elements.iter().map(|e| (instance(e.texel), e.texel));
+        let mut fresh: Vec<(usize, u32)> = texels.filter(|&(i, _)| is_fresh(i)).collect();
+        fresh.sort_by_key(|f| f.0);
+        let wanted: Vec<(u32, u32)> = fresh.iter().map(|&(i, texel)| (texel, states[i].0)).collect();
         let indirect = [0, 1].map(|h| scattered(&tree.elements, &found.values[h], open.len(), Vec3::ZERO));
         let blur = [0, 1].map(|h| scattered(&tree.elements, &found.sides[h], open.len(), 0.0));
         let mut began = Instant::now();
@@ -50,7 +44,7 @@ impl Solver<'_, '_> {
         // What is not done of a mesh is not kept.
         let mut done: Vec<[Gathered; 2]> = Vec::new();
         let mut rays = 0;
-        for chunk in whole_meshes(&wanted, &instance) {
+        for chunk in whole_meshes(&fresh) {
             if self.out_of_time() {
                 break;
             }
@@ -67,14 +61,12 @@ impl Solver<'_, '_> {
             let light = [0, 1].map(|h| gather.texels(h, &wanted[chunk.clone()]));
             done.extend(light[0].0.iter().zip(&light[1].0).map(|(odd, even)| [*odd, *even]));
             rays += light[0].1 + light[1].1;
-            let ends = wanted.get(chunk.end).is_none_or(|next| instance(next.0) != instance(wanted[chunk.end - 1].0));
-            if ends {
-                let first = chunk.end - done.len();
-                let of_chunk = &wanted[first..chunk.end];
-                self.gathering.kept.extend(of_chunk.iter().map(|w| w.0).zip(done.drain(..)));
-                of_chunk
-                    .iter()
-                    .for_each(|w| self.gathering.at[instance(w.0)] = again[instance(w.0)].unwrap_or_default());
+            if fresh.get(chunk.end).is_none_or(|next| next.0 != fresh[chunk.end - 1].0) {
+                let of_meshes = &fresh[chunk.end - done.len()..chunk.end];
+                for (&(i, texel), light) in of_meshes.iter().zip(done.drain(..)) {
+                    self.gathering.kept.insert(texel, light);
+                    self.gathering.at[i] = states[i];
+                }
                 self.gathering.rays += std::mem::take(&mut rays);
             }
             self.seconds.gather += began.elapsed().as_secs_f64();
@@ -82,7 +74,8 @@ impl Solver<'_, '_> {
             began = Instant::now();
         }
         self.gathering.rays += rays;
-        for (k, e) in tree.elements.iter().enumerate().filter(|(_, e)| self.has_gathered(instance(e.texel))) {
+        let has_gathered = |e: &Element| self.has_gathered(self.weights.instance[e.texel as usize] as usize);
+        for (k, e) in tree.elements.iter().enumerate().filter(|(_, e)| has_gathered(e)) {
             let light = self.gathering.kept[&e.texel];
             (0..2).for_each(|h| found.values[h][k] = light[h].light);
             if let Some(cell) = found.cell_of.get_mut(k) {
@@ -163,13 +156,13 @@ impl Solver<'_, '_> {
     }
 }
 
-/// Ranges of (texel, rays) that are gathered between two looks at the clock: whole meshes, or a part of one that is larger.
-/// The texels of a mesh stand together.
-fn whole_meshes(wanted: &[(u32, u32)], instance: &impl Fn(u32) -> usize) -> Vec<std::ops::Range<usize>> {
+/// Ranges of (instance, texel), by instance, that are gathered between two looks at the clock: whole meshes, or a part of
+/// one that is larger.
+fn whole_meshes(fresh: &[(usize, u32)]) -> Vec<std::ops::Range<usize>> {
     let mut out = Vec::new();
     let mut start = 0;
     let mut at = 0;
-    for mesh in wanted.chunk_by(|a, b| instance(a.0) == instance(b.0)) {
+    for mesh in fresh.chunk_by(|a, b| a.0 == b.0) {
         if at > start && at + mesh.len() - start > GATHER_CHUNK {
             out.push(start..at);
             start = at;
