@@ -10,7 +10,7 @@ use std::fmt;
 use std::io::{self, Read, Write};
 
 /// Raised whenever the meaning of anything that is kept, or what is computed from it, changes.
-const VERSION: u32 = 1;
+const VERSION: u32 = 2;
 
 /// The name of something that is kept.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]

@@ -50,6 +50,17 @@ fn sheets() -> Vec<(&'static str, Material)> {
         ("transmission", Material { transmission: 0.7, ..tinted.clone() }),
         ("transmission, blend", Material { transmission: 0.7, alpha: Alpha::Blend, ..tinted.clone() }),
         ("transmission, solid", Material { transmission: 0.7, solid: true, ..tinted.clone() }),
+        ("diffuse transmission", Material { diffuse_transmission: 0.6, ..tinted.clone() }),
+        (
+            "diffuse transmission, of half metal, half glass that is half there",
+            Material {
+                diffuse_transmission: 0.6,
+                metallic: 0.5,
+                transmission: 0.5,
+                alpha: Alpha::Blend,
+                ..tinted.clone()
+            },
+        ),
         ("metal", Material { metallic: 1.0, ..tinted.clone() }),
         ("half metal, half glass", Material { metallic: 0.5, roughness: 0.3, transmission: 1.0, ..tinted.clone() }),
         ("unlit", Material { unlit: true, ..tinted.clone() }),

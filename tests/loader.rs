@@ -52,7 +52,12 @@ fn everything() -> SceneBuilder {
             "emissiveTexture": {"index": texture, "texCoord": 0},
             "pbrMetallicRoughness": {"metallicFactor": 0, "baseColorTexture": {"index": texture, "extensions":
                 {"KHR_texture_transform": {"offset": [0.5, 0], "scale": [2, 2]}}}},
-            "extensions": {"KHR_materials_transmission": {"transmissionFactor": 0.5}}}))
+            "extensions": {"KHR_materials_transmission": {"transmissionFactor": 0.5},
+                "KHR_materials_diffuse_transmission": {"diffuseTransmissionFactor": 0.25,
+                    "diffuseTransmissionColorFactor": [1, 0.5, 0.25],
+                    "diffuseTransmissionTexture": {"index": texture},
+                    "diffuseTransmissionColorTexture": {"index": texture, "extensions":
+                        {"KHR_texture_transform": {"offset": [0.5, 0]}}}}}}))
         .quad("pane", FLOOR)
 }
 
@@ -77,6 +82,11 @@ fn a_scene_with_everything() {
     assert!(scene.materials[1].emission.distance(Vec3::new(17.0, 12.0, 4.0)) < 1e-4);
     let glass = &scene.materials[2];
     assert_eq!((glass.alpha, glass.transmission, glass.double_sided), (Alpha::Mask { cutoff: 0.25 }, 0.5, true));
+    assert_eq!(glass.diffuse_transmission, 0.25);
+    assert_eq!(glass.diffuse_transmission_color, Vec3::new(1.0, 0.5, 0.25));
+    assert!(glass.diffuse_transmission_texture.is_some());
+    let reference = glass.diffuse_transmission_color_texture.expect("a texture");
+    assert_eq!(reference.transform.transform_point2(Vec2::ONE), Vec2::new(1.5, 1.0));
     let reference = glass.base_color_texture.expect("a texture");
     assert_eq!(reference.transform.transform_point2(Vec2::ONE), Vec2::new(2.5, 2.0));
     let texture = &scene.textures[reference.texture];
@@ -140,13 +150,18 @@ fn files_beside_the_scene() {
     assert!(with("sub folder").expect_err("a folder").contains("is not a file"));
 }
 
+fn leafy(values: Value) -> Value {
+    json!({"KHR_materials_diffuse_transmission": values})
+}
+
 #[test]
 fn warnings_for_odd_but_usable_scenes() {
     let quad = || SceneBuilder::new().material("grey", [0.5; 3]).quad("floor", FLOOR);
     type Change = fn(&mut Value);
-    let cases: [(&str, Change); 9] = [
+    let cases: [(&str, Change); 10] = [
         ("no-scene", |j| j.as_object_mut().into_iter().for_each(|o| o.retain(|k, _| !k.starts_with("scene")))),
         ("metal-by-default", |j| j["materials"][0] = json!({"name": "m"})),
+        ("odd-material", |j| j["materials"][0]["extensions"] = leafy(json!({"diffuseTransmissionFactor": 1.5}))),
         ("extension-ignored", |j| j["extensionsUsed"] = json!(["ACME_anything"])),
         ("morph-targets", |j| j["meshes"][0]["primitives"][0]["targets"] = json!([{"POSITION": 0}])),
         ("skin", |j| j["nodes"][0]["skin"] = json!(0)),
@@ -165,7 +180,7 @@ fn warnings_for_odd_but_usable_scenes() {
 fn errors_name_object_and_cure() {
     let quad = || SceneBuilder::new().material("grey", [0.5; 3]).quad("floor", FLOOR);
     type Change = fn(&mut Value);
-    let cases: [(&str, &str, Change); 10] = [
+    let cases: [(&str, &str, Change); 11] = [
         ("nodes[0] 'floor'", "meshes[9]", |j| j["nodes"][0]["mesh"] = json!(9)),
         ("meshes[0] 'floor'", "materials[7]", |j| j["meshes"][0]["primitives"][0]["material"] = json!(7)),
         ("meshes[0] 'floor'", "accessors[44]", |j| j["meshes"][0]["primitives"][0]["indices"] = json!(44)),
@@ -175,6 +190,9 @@ fn errors_name_object_and_cure() {
         ("ACME_must", "extension", |j| j["extensionsRequired"] = json!(["ACME_must"])),
         ("KHR_texture_basisu", "gltf-transform", |j| j["extensionsRequired"] = json!(["KHR_texture_basisu"])),
         ("glTF 1.0", "convert", |j| j["asset"]["version"] = json!("1.0")),
+        ("materials[0] 'grey'", "KHR_materials_diffuse_transmission", |j| {
+            j["materials"][0]["extensions"] = leafy(json!({"diffuseTransmissionColorFactor": [1, 1]}));
+        }),
         ("scene", "4", |j| j["scene"] = json!(4)),
     ];
     for (object, detail, change) in cases {

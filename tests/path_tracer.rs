@@ -74,6 +74,37 @@ fn spot_and_point() {
     agree("spot and point", &b.finish(), 16, 3000);
 }
 
+/// A leaf, a curtain of which half is missing, and a shade around a lamp, which pass light diffusely.
+#[test]
+fn leaves_and_lampshades() {
+    let mut b = Builder::new(PAGE);
+    let ground = coloured(&mut b, 0.5, 0.6, 0.4);
+    b.quad("ground", Vec3::new(-3.0, 0.0, -3.0), Vec3::Z * 6.0, Vec3::X * 6.0, ground, [12; 2]);
+    let leaf = Material {
+        base_color: Vec4::new(0.3, 0.6, 0.2, 1.0),
+        diffuse_transmission: 0.6,
+        diffuse_transmission_color: Vec3::new(0.9, 0.7, 0.2),
+        ..Material::default()
+    };
+    let curtain =
+        Material { base_color: Vec4::new(0.8, 0.7, 0.6, 0.5), alpha: Alpha::Blend, double_sided: true, ..leaf.clone() };
+    let [leaf, curtain] = [leaf, curtain].map(|m| b.material(m));
+    b.quad("leaf", Vec3::new(1.0, 0.5, -1.5), Vec3::X * 1.5, Vec3::new(0.0, 0.5, 2.0), leaf, [6; 2]);
+    b.quad("curtain", Vec3::new(-0.5, 0.2, -1.5), Vec3::Y * 1.5, Vec3::new(0.5, 0.0, 2.0), curtain, [6; 2]);
+    for (at, along) in [
+        (Vec3::new(-2.25, 0.25, 1.0), Vec3::X),
+        (Vec3::new(-1.25, 0.25, 1.0), Vec3::Z),
+        (Vec3::new(-1.25, 0.25, 2.0), Vec3::NEG_X),
+        (Vec3::new(-2.25, 0.25, 2.0), Vec3::NEG_Z),
+    ] {
+        b.quad("shade", at, Vec3::Y * 0.75, along, leaf, [4; 2]);
+    }
+    b.point_light(Vec3::new(-1.75, 0.6, 1.5), 3.0);
+    b.light(Vec3::ZERO, Vec3::new(0.3, -1.0, 0.4), 8.0, LightKind::Directional { angular_diameter: 0.0 });
+    b.scene_mut().sky = Some(Sky::Constant(Vec3::new(0.5, 0.75, 1.0)));
+    agree("leaves", &b.finish(), 16, 3000);
+}
+
 /// Sheets that pass light, shine or reflect on both sides, in an open scene under a sun.
 #[test]
 fn sheets_in_the_open() {

@@ -333,6 +333,7 @@ fn lossless_sheets_in_a_closed_room() {
         ("blend", Material { alpha: Alpha::Blend, ..white.clone() }),
         ("transmission", Material { transmission: 0.6, roughness: 0.0, ..white.clone() }),
         ("mirror", Material { metallic: 1.0, roughness: 0.0, ..white.clone() }),
+        ("diffuse transmission", Material { diffuse_transmission: 0.7, double_sided: false, ..white.clone() }),
         ("half a mirror", Material { metallic: 0.5, roughness: 0.0, alpha: Alpha::Blend, ..white.clone() }),
         ("opaque", white),
     ] {
@@ -347,7 +348,91 @@ fn lossless_sheets_in_a_closed_room() {
             let of_walls = |i: usize| bake.solution.weights.instance[i] < 6;
             [area_mean(bake, e, of_walls).x * 52.0]
         });
-        expect_mean(what, &walls, 4.0 * PI * 10.0 / 0.4, 0.015, 5);
+        expect_mean(what, &walls, 4.0 * PI * 10.0 / 0.4, 0.015, 6);
+    }
+}
+
+/// Transmits 0.6 of the diffuse light in its own colour, and reflects the rest by its base colour.
+fn leaf(base: [f32; 3], transmitted: [f32; 3]) -> Material {
+    Material {
+        base_color: Vec3::from(base).extend(1.0),
+        diffuse_transmission: 0.6,
+        diffuse_transmission_color: transmitted.into(),
+        ..Material::default()
+    }
+}
+
+/// The sun on a leaf: below, it shines as a lamp of the radiance t E / pi would, on a tile that gets no other light.
+#[test]
+fn a_leaf_shines_below() {
+    let color = [0.9f32, 0.5, 0.125];
+    let corners = [(-0.75, -0.75), (0.75, -0.75), (0.75, 0.75), (-0.75, 0.75)].map(|(x, z)| DVec3::new(x, 1.0, z));
+    // Opaque to straight light, whether or not half of it is missing.
+    for (alpha, share) in [(Alpha::Opaque, 1.0), (Alpha::Blend, 0.5)] {
+        let sheet = leaf([0.0; 3], color);
+        let sheet = Material { base_color: sheet.base_color.with_w(0.5), alpha, ..sheet };
+        let scene = through_a_sheet(sheet, true, None);
+        let quad = QuadMap::of(&scene, 0, PAGE);
+        let below = mean_of_tile(&quad, |p| polygon_irradiance(p, DVec3::Y, &corners, share * 0.6 * 100.0 / PI));
+        let found = samples(&scene, &one_round(PAGE), 0..24, |bake, e| {
+            area_mean(bake, e, |i| bake.solution.weights.instance[i] == 0).to_array()
+        });
+        for c in 0..3 {
+            let expected = below * f64::from(color[c]) + (1.0 - share) * 100.0;
+            expect_mean(&format!("{alpha:?}"), &found[c], expected, 0.02, 6);
+        }
+    }
+}
+
+/// A lamp in a closed shade: what is reflected adds up inside to E = Phi / (A (1 - rho)), whatever the shape, and a share
+/// tau / (1 - rho) of all light gets out.
+#[test]
+fn a_lampshade_lets_light_out() {
+    let (base, color) = ([0.8f32, 0.5, 0.2], [0.9f32, 0.9, 0.5]);
+    let mut b = Builder::new(128);
+    let shade = b.material(leaf(base, color));
+    b.room(Vec3::ZERO, Vec3::new(3.0, 2.0, 4.0), shade, 12);
+    b.point_light(Vec3::new(1.5, 1.0, 1.0), 10.0);
+    let scene = b.finish();
+    let found: Vec<[f64; 6]> = (0..48)
+        .map(|seed| {
+            let bake = run(&scene, &BakeOptions { seed, ..one_round(128) });
+            let e: Vec<Vec3> = (0..bake.texels.mapped).map(|t| bake.solution.total.mean(t)).collect();
+            let inside = area_mean(&bake, &e, |i| !bake.texels.texels[i].back);
+            let ledger = bake.solution.ledger;
+            std::array::from_fn(|c| match c {
+                0..3 => inside[c],
+                _ => ledger.escaped[c - 3] as f64 / ledger.emitted[c - 3] as f64,
+            })
+        })
+        .collect();
+    for c in 0..3 {
+        let (rho, tau) = (0.4 * f64::from(base[c]), 0.6 * f64::from(color[c]));
+        let of = |k: usize| found.iter().map(|f| f[k]).collect::<Vec<f64>>();
+        expect_mean("inside", &of(c), 4.0 * PI * 10.0 / (52.0 * (1.0 - rho)), 0.02, 6);
+        // Photons carry what leaves the surface at first.
+        expect_mean("outside", &of(c + 3), tau / (1.0 - rho) / (rho + tau), 0.02, 6);
+    }
+}
+
+/// A leaf that takes no light shows nowhere in a furnace: E stays pi L / (1 - rho), on the walls and on both its sides.
+#[test]
+fn a_leaf_vanishes_in_a_furnace() {
+    let mut b = Builder::new(PAGE);
+    let wall = b.diffuse(0.6, 5.0);
+    b.room(Vec3::ZERO, Vec3::new(3.0, 2.0, 4.0), wall, 6);
+    let leaf = b.material(leaf([1.0; 3], [1.0; 3]));
+    b.quad("leaf", Vec3::new(0.5, 0.5, 2.0), Vec3::X * 2.0, Vec3::Y, leaf, [8, 4]);
+    let scene = b.finish();
+    let found = samples(&scene, &one_round(PAGE), 0..24, |bake, e| {
+        let mean = |leaf: bool, back: bool| {
+            area_mean(bake, e, |i| (bake.solution.weights.instance[i] == 6, bake.texels.texels[i].back) == (leaf, back))
+                .x
+        };
+        [mean(false, false), mean(true, false), mean(true, true)]
+    });
+    for (what, found) in ["walls", "front", "back"].into_iter().zip(&found) {
+        expect_mean(what, found, PI * 5.0 / 0.4, 0.05, 3);
     }
 }
 

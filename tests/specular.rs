@@ -184,23 +184,17 @@ fn light_thrown_on_what_has_no_map_is_not_lost() {
     expect_paths_to_agree(&scene);
 }
 
-/// Small things in the dark part of a room, which gather, beside a mirror, a pane and a block of glass.
-#[test]
-fn what_is_gathered_comes_over_mirrors_and_through_glass() {
+/// Small things in the dark part of a room, which gather, beside those that `furnish` puts there; these count nothing where
+/// they are specular, for they would take more photons than the small ones.
+fn dark_corner(furnish: impl FnOnce(&mut Builder)) -> Scene {
     let mut b = Builder::new(PAGE);
     let wall = b.diffuse(0.6, 0.0);
     for k in 0..3 {
         b.quad("small", Vec3::new(0.25, 0.5, 2.6 + 0.3 * k as f32), Vec3::Z * 0.1, Vec3::X * 0.1, wall, [2; 2]);
     }
     b.l_room(wall, 8);
-    let mirror = b.material(metal([0.9, 0.8, 0.6], 0.0));
-    b.quad("mirror", Vec3::new(0.02, 0.1, 2.25), Vec3::Y * 1.6, Vec3::Z * 1.5, mirror, [4; 2]);
-    let pane = b.material(Material { base_color: Vec4::new(0.9, 0.4, 0.4, 1.0), ..glass(false) });
-    b.quad("pane", Vec3::new(0.1, 1.0, 2.25), Vec3::Z, Vec3::X * 1.5, pane, [4; 2]);
-    let block = b.material(glass(true));
-    b.solid(Vec3::new(0.5, 0.1, 2.5), Vec3::new(0.9, 0.9, 3.5), block, 2);
+    furnish(&mut b);
     b.point_light(Vec3::new(3.5, 1.0, 0.5), 40.0);
-    // The small things count for most; what is specular counts nothing, for it would take more photons than they.
     for (i, instance) in b.scene_mut().instances.iter_mut().enumerate() {
         instance.weight = if i < 3 {
             3000.0
@@ -210,7 +204,11 @@ fn what_is_gathered_comes_over_mirrors_and_through_glass() {
             1.0
         };
     }
-    let scene = b.finish();
+    b.finish()
+}
+
+/// Things gather in `scene`, and what they gather is what paths find.
+fn expect_gathered_light_to_agree(scene: &Scene) {
     let (mut meshes, mut differences) = (0, Vec::new());
     for seed in 0..16 {
         let options = BakeOptions {
@@ -222,7 +220,7 @@ fn what_is_gathered_comes_over_mirrors_and_through_glass() {
             seed,
             ..one_round(PAGE)
         };
-        let bake = run(&scene, &options);
+        let bake = run(scene, &options);
         meshes += bake.report.work.gathered_meshes;
         differences.push(bake.solution.audit.expect("audited").mean_difference_percent);
     }
@@ -230,4 +228,51 @@ fn what_is_gathered_comes_over_mirrors_and_through_glass() {
     // Their own noise is part of how far they scatter.
     let (mean, deviation) = mean_and_error(&differences);
     assert!(mean.abs() < 5.0 * deviation && deviation < 2.0, "{mean} +- {deviation} %: {differences:?}");
+}
+
+/// Beside a mirror, a pane and a block of glass.
+#[test]
+fn what_is_gathered_comes_over_mirrors_and_through_glass() {
+    expect_gathered_light_to_agree(&dark_corner(|b| {
+        let mirror = b.material(metal([0.9, 0.8, 0.6], 0.0));
+        b.quad("mirror", Vec3::new(0.02, 0.1, 2.25), Vec3::Y * 1.6, Vec3::Z * 1.5, mirror, [4; 2]);
+        let pane = b.material(Material { base_color: Vec4::new(0.9, 0.4, 0.4, 1.0), ..glass(false) });
+        b.quad("pane", Vec3::new(0.1, 1.0, 2.25), Vec3::Z, Vec3::X * 1.5, pane, [4; 2]);
+        let block = b.material(glass(true));
+        b.solid(Vec3::new(0.5, 0.1, 2.5), Vec3::new(0.9, 0.9, 3.5), block, 2);
+    }));
+}
+
+/// Passes more light diffusely than it reflects.
+fn curtain() -> Material {
+    Material {
+        base_color: Vec4::new(0.8, 0.6, 0.3, 1.0),
+        diffuse_transmission: 0.7,
+        diffuse_transmission_color: Vec3::new(1.0, 0.8, 0.6),
+        ..Material::default()
+    }
+}
+
+/// Behind a curtain over which alone light comes.
+#[test]
+fn what_is_gathered_comes_through_curtains() {
+    expect_gathered_light_to_agree(&dark_corner(|b| {
+        let curtain = b.material(curtain());
+        b.quad("curtain", Vec3::new(0.05, 0.05, 2.2), Vec3::X * 1.8, Vec3::Y * 1.9, curtain, [6; 2]);
+        b.quad("awning", Vec3::new(0.1, 0.9, 2.4), Vec3::Z * 1.2, Vec3::X, curtain, [4; 2]);
+    }));
+}
+
+/// Curtains and a lampshade before mirrors and glass: the audit's paths look at both sides of each.
+#[test]
+fn paths_find_the_light_through_curtains() {
+    let mut scene = glittering();
+    // The wall that the mirror throws the sun at, and one of those around.
+    scene.materials.push(curtain());
+    let curtain = scene.materials.len() - 1;
+    for wall in [1, 2] {
+        let mesh = scene.instances[wall].mesh;
+        scene.meshes[mesh].primitives[0].material = curtain;
+    }
+    expect_paths_to_agree(&scene);
 }

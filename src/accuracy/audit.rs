@@ -239,11 +239,11 @@ impl Auditor<'_> {
         out
     }
 
-    /// Irradiance (lux) that lamps send over mirrors and through glass to where light arrives.
-    fn caustic(&self, hit: &Hit, met: &Met, arriving: Vec3) -> Vec3 {
+    /// Irradiance (lux) that lamps send over mirrors and through glass to where light arrives, on its `back` or front.
+    fn caustic(&self, hit: &Hit, back: bool, arriving: Vec3) -> Vec3 {
         let Some(caustics) = self.caustics else { return Vec3::ZERO };
         let uv = self.light.visibility.world.hair_before(hit.triangle, Vec2::new(hit.u, hit.v), arriving);
-        let texel = self.light.texels.at(hit.triangle, met.back, uv);
+        let texel = self.light.texels.at(hit.triangle, back, uv);
         texel.map_or(Vec3::ZERO, |t| caustics.everywhere.mean(t as usize))
     }
 
@@ -263,17 +263,23 @@ impl Auditor<'_> {
             }
             let uv = Vec2::new(hit.u, hit.v);
             let met = world.meet(hit.triangle, uv, ray.direction);
-            let Met { facing, reflected: albedo, passed, .. } = met;
+            let Met { back, facing, reflected: albedo, transmitted, passed, .. } = met;
             let lit = Receiver::met(world, hit.triangle, uv, facing, ray.direction, hit.t);
             if albedo != Vec3::ZERO {
-                let caustic = self.caustic(&hit, &met, ray.direction);
+                let caustic = self.caustic(&hit, back, ray.direction);
                 sum += carried * (reflecting.any_light(lit, stream, rays).sent + albedo * caustic);
+            }
+            // Light of the far side, which leaves on this one.
+            if transmitted != Vec3::ZERO {
+                let caustic = self.caustic(&hit, !back, ray.direction);
+                let beyond = reflecting.any_light(lit.opposite(world), stream, rays).sent_beyond;
+                sum += carried * (beyond + transmitted * caustic);
             }
             let bounce = world.bounce((hit.triangle, uv), &met, ray.direction, hit.t, || stream.unit());
             let thrown = bounce.map_or(Vec3::ZERO, |b| b.importance());
             // Roulette by what is left of the path.
-            let [r, s, p] = [albedo, thrown, passed].map(|share| (carried * share).max_element());
-            let whole = (r + s + p).max(1e-30);
+            let [r, s, p, t] = [albedo, thrown, passed, transmitted].map(|share| (carried * share).max_element());
+            let whole = (r + s + p + t).max(1e-30);
             let alive = whole.min(1.0);
             let pick = stream.unit() * (whole / alive);
             if pick < r {
@@ -287,6 +293,10 @@ impl Auditor<'_> {
             } else if pick < r + s + p {
                 carried *= passed * (whole / (p * alive));
                 ray.origin = lit.beyond(world);
+            } else if pick < r + s + p + t {
+                carried *= transmitted * (whole / (t * alive));
+                let direction = cosine_hemisphere(-facing, Vec2::new(stream.unit(), stream.unit()));
+                ray = Ray { origin: lit.opposite(world).origin, direction, t_max: f32::INFINITY };
             } else {
                 break;
             }

@@ -9,7 +9,7 @@
 
 use crate::accel::Ray;
 use crate::atlas::TexelSampler;
-use crate::light::{Direct, Receiver, START_SLOTS, TexelLight};
+use crate::light::{Direct, Leaving, Receiver, START_SLOTS, TexelLight};
 use crate::photon::StartTable;
 use crate::sampling::{Stream, cosine_hemisphere, hash_mix, hash_seed, sobol, unit_f32};
 use crate::scene::Met;
@@ -112,7 +112,7 @@ impl Gather<'_> {
             let Some(hit) = visibility.accel.closest(&ray) else { return sum };
             let uv = Vec2::new(hit.u, hit.v);
             let found = world.meet(hit.triangle, uv, ray.direction);
-            let Met { back, facing, receives, passes, reflected: albedo, passed, .. } = found;
+            let Met { back, facing, receives, passes, reflected, transmitted, passed, .. } = found;
             if !receives && !passes {
                 return sum;
             }
@@ -121,9 +121,13 @@ impl Gather<'_> {
             let before = || world.hair_before(hit.triangle, uv, ray.direction);
             let texel = if receives { texels.at(hit.triangle, back, before()) } else { None };
             let met = Receiver::met(world, hit.triangle, uv, facing, ray.direction, hit.t);
-            let mut reflected = albedo;
-            if let Some(texel) = texel {
-                let texel = texel as usize;
+            // What comes back is light that this side reflects, and that the far side transmits.
+            let mut sides = [(reflected, texel, Leaving::Reflected), (transmitted, None, Leaving::Transmitted)];
+            if receives && transmitted != Vec3::ZERO {
+                sides[1].1 = texels.at(hit.triangle, !back, before());
+            }
+            for (share, texel, leaving) in &mut sides {
+                let Some(texel) = texel.map(|t| t as usize) else { continue };
                 let weight = match straight {
                     Some(gone) => {
                         let d2 = (gone + hit.t).powi(2);
@@ -135,21 +139,25 @@ impl Gather<'_> {
                 };
                 // Half a shadowed texel is not as bright as its mean.
                 let near = hit.t < NEAR * texels.texels[texel].area.sqrt();
-                let sent =
-                    if near { self.light.any_light(met, stream, rays).sent } else { self.sent_directly(half, texel) };
+                let sent = match leaving {
+                    _ if !near => self.sent_directly(half, texel, *leaving),
+                    Leaving::Transmitted => self.light.any_light(met.opposite(world), stream, rays).sent_beyond,
+                    _ => self.light.any_light(met, stream, rays).sent,
+                };
                 sum += carried * sent * weight;
-                sum += self.caustics.map_or(Vec3::ZERO, |c| carried * albedo * c[half][texel]);
+                sum += self.caustics.map_or(Vec3::ZERO, |c| carried * *share * c[half][texel]);
                 // What is near would be looked up too blurred: a few bounces more, and it no longer matters.
                 let mapped = texel < texels.mapped;
                 let far = mapped && hit.t >= self.blur[half][texel];
                 if mapped && (far || near_steps == MOST_NEAR_STEPS) {
-                    sum += carried * albedo * self.indirect[half][texel];
-                    reflected = Vec3::ZERO;
+                    sum += carried * *share * self.indirect[half][texel];
+                    *share = Vec3::ZERO;
                 }
             }
             // What has no place on the map has no light to look up: go on to where it gets its own.
-            let [r, s, p] = [reflected, thrown, passed].map(|share| share.max_element());
-            let all = (r + s + p).max(1.0);
+            let [reflected, transmitted] = sides.map(|(share, ..)| share);
+            let [r, s, p, t] = [reflected, thrown, passed, transmitted].map(|share| share.max_element());
+            let all = (r + s + p + t).max(1.0);
             let pick = stream.unit() * all;
             if pick < r {
                 near_steps = (near_steps + 1).min(MOST_NEAR_STEPS);
@@ -167,6 +175,12 @@ impl Gather<'_> {
                 carried *= passed / p * all;
                 straight = straight.map(|gone| gone + hit.t);
                 ray.origin = met.beyond(world);
+            } else if pick < r + s + p + t {
+                near_steps = (near_steps + 1).min(MOST_NEAR_STEPS);
+                carried *= transmitted / t * all;
+                let direction = cosine_hemisphere(-facing, Vec2::new(stream.unit(), stream.unit()));
+                ray = Ray { origin: met.opposite(world).origin, direction, t_max: f32::INFINITY };
+                straight = None;
             } else {
                 return sum;
             }
@@ -181,11 +195,13 @@ impl Gather<'_> {
         let texel = starts.pick(f64::from(u), None);
         let slot = stream.bits() as usize % START_SLOTS;
         let Some(start) = self.direct.start(half, texel, slot) else { return Vec3::ZERO };
-        // Mirrors send nothing to where one looks from by chance.
-        if start.way().is_some() {
-            return Vec3::ZERO;
-        }
         let from = self.light.start(texel, start);
+        let from = match start.way() {
+            Leaving::Reflected => from,
+            Leaving::Transmitted => from.opposite(self.light.visibility.world),
+            // Mirrors send nothing to where one looks from by chance.
+            Leaving::Along(_) => return Vec3::ZERO,
+        };
         let to = from.origin - at.origin;
         let d2 = to.length_squared();
         if d2 < 1e-14 {
@@ -212,15 +228,15 @@ impl Gather<'_> {
         if total > 0.0 { self.direct.exitance(half, texel) / total } else { 0.0 }
     }
 
-    /// Radiosity (lux) of direct light that a texel reflects diffusely.
-    fn sent_directly(&self, half: usize, texel: usize) -> Vec3 {
+    /// Radiosity (lux) of direct light on a texel that leaves in one of the diffuse ways.
+    fn sent_directly(&self, half: usize, texel: usize, way: Leaving) -> Vec3 {
         let exitance = self.direct.exitance(half, texel);
         if exitance <= 0.0 {
             return Vec3::ZERO;
         }
         let starts = (0..START_SLOTS).filter_map(|s| self.direct.start(half, texel, s));
         let (sum, n) = starts.fold((Vec3::ZERO, 0.0), |(sum, n), s| {
-            (sum + if s.way().is_none() { s.color() } else { Vec3::ZERO }, n + 1.0)
+            (sum + if s.way() == way { s.color() } else { Vec3::ZERO }, n + 1.0)
         });
         if n > 0.0 { sum * (exitance / n) } else { Vec3::ZERO }
     }

@@ -19,7 +19,7 @@ pub const START_SLOTS: usize = 2;
 const CHUNK: usize = 256;
 
 /// A point that photons start from, drawn among the texel's direct samples in proportion to the largest
-/// channel of B = rho E there (weighted reservoir sampling: Chao 1982).
+/// channel of what leaves there: of B = rho E, on either side, or of what is thrown (weighted reservoir sampling: Chao 1982).
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct StartSlot {
     /// Triangle id.
@@ -30,12 +30,23 @@ pub struct StartSlot {
     pub color: [u16; 3],
     /// Largest channel of B as it was sampled (lux).
     pub largest: f32,
-    /// The direction that it leaves in, as from a mirror or through a lens.
+    /// How it leaves.
     way: PackedWay,
 }
 
+/// How light leaves a point.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum Leaving {
+    /// Diffusely, on the side that it came from.
+    Reflected,
+    /// Diffusely, on the far side.
+    Transmitted,
+    /// In this unit direction, as from a mirror or through a lens.
+    Along(Vec3),
+}
+
 const NO_SLOT: StartSlot =
-    StartSlot { triangle: u32::MAX, uv: Vec2::ZERO, color: [0; 3], largest: 0.0, way: PackedWay::ANY };
+    StartSlot { triangle: u32::MAX, uv: Vec2::ZERO, color: [0; 3], largest: 0.0, way: PackedWay::REFLECTED };
 
 impl StartSlot {
     /// A point where light is reflected; `None` where none is.
@@ -43,7 +54,7 @@ impl StartSlot {
         let largest = point.leaving.max_element();
         let color = (point.leaving / largest * 65535.0).round();
         let color = [color.x as u16, color.y as u16, color.z as u16];
-        let way = point.way.map_or(PackedWay::ANY, PackedWay::new);
+        let way = PackedWay::new(point.way);
         (largest > 0.0).then_some(StartSlot { triangle: point.at.triangle, uv: point.at.uv, color, largest, way })
     }
 
@@ -52,31 +63,42 @@ impl StartSlot {
         Vec3::from(self.color.map(|c| f32::from(c) / 65535.0))
     }
 
-    /// The direction that its light leaves in; `None` where that is reflected diffusely.
-    pub fn way(&self) -> Option<Vec3> {
-        self.way.direction()
+    /// How its light leaves.
+    pub fn way(&self) -> Leaving {
+        self.way.unpacked()
     }
 }
 
-/// A direction on an octahedron's net (Cigolle et al., JCGT 2014), within 5e-5 rad of the one packed.
+/// How light leaves: a direction on an octahedron's net (Cigolle et al., JCGT 2014), within 5e-5 rad of the one packed,
+/// or no direction in particular, for which there are two places beside the net.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 struct PackedWay([i16; 2]);
 
 impl PackedWay {
-    /// No direction in particular.
-    const ANY: PackedWay = PackedWay([i16::MIN; 2]);
+    const REFLECTED: PackedWay = PackedWay([i16::MIN; 2]);
+    const TRANSMITTED: PackedWay = PackedWay([i16::MIN, 0]);
 
-    fn new(d: Vec3) -> PackedWay {
+    fn new(way: Leaving) -> PackedWay {
+        let d = match way {
+            Leaving::Reflected => return PackedWay::REFLECTED,
+            Leaving::Transmitted => return PackedWay::TRANSMITTED,
+            Leaving::Along(d) => d,
+        };
         let p = Vec2::new(d.x, d.y) / (d.x.abs() + d.y.abs() + d.z.abs());
         let p = if d.z < 0.0 { folded(p) } else { p };
         PackedWay((p * 32767.0).round().to_array().map(|x| x as i16))
     }
 
-    fn direction(self) -> Option<Vec3> {
+    fn unpacked(self) -> Leaving {
+        match self {
+            PackedWay::REFLECTED => return Leaving::Reflected,
+            PackedWay::TRANSMITTED => return Leaving::Transmitted,
+            _ => {}
+        }
         let p = Vec2::from(self.0.map(f32::from)) / 32767.0;
         let z = 1.0 - p.x.abs() - p.y.abs();
         let p = if z < 0.0 { folded(p) } else { p };
-        (self != PackedWay::ANY).then(|| p.extend(z).normalize())
+        Leaving::Along(p.extend(z).normalize())
     }
 }
 
@@ -112,10 +134,12 @@ pub struct LitPoint {
     pub soft: Vec3,
     /// One of the radiosity rho E that it is reflected with diffusely (lux).
     pub sent: Vec3,
+    /// One of the radiosity that it is transmitted with diffusely, on the far side (lux).
+    pub sent_beyond: Vec3,
     /// One of the ways that light leaves, which stands for all of them (lux).
     leaving: Vec3,
-    /// Its direction, as from a mirror or through a lens; `None` where it leaves diffusely.
-    way: Option<Vec3>,
+    /// Which.
+    way: Leaving,
 }
 
 impl TexelLight<'_> {
@@ -158,7 +182,8 @@ impl TexelLight<'_> {
         let pick = if specular { more.unit() } else { 0.0 };
         let light = self.emitters.sample(&at, self.visibility, u, more, pick, rays);
         let (stored, soft) = (light.stored, light.soft);
-        let dark = LitPoint { at, stored, soft, sent: Vec3::ZERO, leaving: Vec3::ZERO, way: None };
+        let none = Vec3::ZERO;
+        let dark = LitPoint { at, stored, soft, sent: none, sent_beyond: none, leaving: none, way: Leaving::Reflected };
         if !light.stored.is_finite() || !light.transported.is_finite() {
             return LitPoint { stored: Vec3::ZERO, soft: Vec3::ZERO, ..dark };
         }
@@ -166,25 +191,43 @@ impl TexelLight<'_> {
             return dark;
         }
         if !specular {
-            let sent = world.surface(at.triangle, at.uv).reflected() * light.transported;
-            return LitPoint { sent, leaving: sent, ..dark };
+            let surface = world.surface(at.triangle, at.uv);
+            let [sent, sent_beyond] = [surface.reflected(), surface.transmitted()].map(|s| s * light.transported);
+            let lit = LitPoint { sent, sent_beyond, leaving: sent, ..dark };
+            return if sent_beyond == Vec3::ZERO { lit } else { lit.by_one_lobe(None, more.unit()) };
         }
         let arriving = -light.ray.towards;
         let met = world.meet(at.triangle, at.uv, arriving);
-        let sent = met.reflected * light.transported;
-        // One of both lobes is taken, in proportion to what it sends out.
+        let [sent, sent_beyond] = [met.reflected, met.transmitted].map(|share| share * light.transported);
         let bounce = world.bounce((at.triangle, at.uv), &met, arriving, 0.0, || more.unit());
-        let thrown = bounce.map_or(Vec3::ZERO, |b| b.share * light.ray.irradiance());
-        let [by_diffuse, by_specular] = [sent, thrown].map(|lobe| lobe.max_element());
-        let all = by_diffuse + by_specular;
-        let (leaving, way) = if more.unit() * all < by_diffuse {
-            (sent * (all / by_diffuse), None)
-        } else if by_specular > 0.0 {
-            (thrown * (all / by_specular), bounce.map(|b| b.direction))
-        } else {
-            (Vec3::ZERO, None)
-        };
-        LitPoint { sent, leaving, way, ..dark }
+        let thrown = bounce.map(|b| (b.share * light.ray.irradiance(), b.direction));
+        LitPoint { sent, sent_beyond, ..dark }.by_one_lobe(thrown, more.unit())
+    }
+}
+
+impl LitPoint {
+    /// One of the lobes is taken for all, in proportion to what it sends out: `thrown` in a direction, or one of the
+    /// diffuse ones; `pick` is a random number in [0, 1).
+    fn by_one_lobe(self, thrown: Option<(Vec3, Vec3)>, pick: f32) -> LitPoint {
+        let (thrown, direction) = thrown.unwrap_or_default();
+        let lobes = [
+            (self.sent, Leaving::Reflected),
+            (thrown, Leaving::Along(direction)),
+            (self.sent_beyond, Leaving::Transmitted),
+        ];
+        let largest = lobes.map(|(lobe, _)| lobe.max_element());
+        let all = largest[0] + largest[1] + largest[2];
+        let (mut left, mut taken) = (pick * all, None);
+        for (k, largest) in largest.into_iter().enumerate().filter(|(_, largest)| *largest > 0.0) {
+            // Rounding may leave a little beyond the last.
+            taken = Some((k, largest));
+            if left < largest {
+                break;
+            }
+            left -= largest;
+        }
+        let Some((k, largest)) = taken else { return self };
+        LitPoint { leaving: lobes[k].0 * (all / largest), way: lobes[k].1, ..self }
     }
 }
 

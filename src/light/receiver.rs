@@ -45,6 +45,12 @@ impl Receiver {
         Receiver { triangle, uv, origin, geometric_normal: facing, shading_normal: facing }
     }
 
+    /// The same point on the far side of its surface.
+    pub fn opposite(&self, world: &World) -> Receiver {
+        let back = self.geometric_normal.dot(world.normals[self.triangle as usize]) > 0.0;
+        Receiver::new(world, self.triangle, self.uv, back, false)
+    }
+
     /// Where a ray starts that leaves through the surface, on its far side.
     pub fn beyond(&self, world: &World) -> Vec3 {
         let position = world.position(self.triangle, self.uv);

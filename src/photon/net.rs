@@ -6,7 +6,7 @@ use super::start::StartTable;
 use super::walk::{Photon, PhotonKind, walk};
 use crate::accel::Ray;
 use crate::atlas::TexelSampler;
-use crate::light::{Direct, START_SLOTS, StartSlot, TexelLight};
+use crate::light::{Direct, Leaving, START_SLOTS, StartSlot, TexelLight};
 use crate::sampling::{DIMENSIONS, Stream, cosine_hemisphere, hash_mix, sobol, sobol_index_of_stratum, unit_f32};
 use glam::Vec2;
 use rayon::prelude::*;
@@ -112,7 +112,8 @@ impl Shooting<'_> {
             self.move_start(texel, slot, &mut stream, task);
         }
         let Some(start) = task.slots[slot] else { return };
-        if self.kind == PhotonKind::Caustic && start.way().is_none() {
+        let caustic = matches!(start.way(), Leaving::Along(_));
+        if self.kind == PhotonKind::Caustic && !caustic {
             return;
         }
 
@@ -125,11 +126,14 @@ impl Shooting<'_> {
         let at = self.light.start(texel, &start);
         let u = Vec2::new(unit_f32(random()), unit_f32(random()));
         let (origin, direction) = match start.way() {
-            None => (at.origin, cosine_hemisphere(at.geometric_normal, u)),
-            Some(way) => (self.light.leave(&at, way), way),
+            Leaving::Reflected => (at.origin, cosine_hemisphere(at.geometric_normal, u)),
+            Leaving::Transmitted => {
+                let beyond = at.opposite(self.light.visibility.world);
+                (beyond.origin, cosine_hemisphere(beyond.geometric_normal, u))
+            }
+            Leaving::Along(way) => (self.light.leave(&at, way), way),
         };
         let flux = start.color.map(|c| ((u64::from(c) * u64::from(net.weight) + 32767) / 65535) as u32);
-        let caustic = start.way().is_some();
         let ray = Ray { origin, direction, t_max: f32::INFINITY };
         let photon = Photon { ray, flux, kind: self.kind, caustic };
         walk(photon, self.light.visibility, self.crevice, random, &mut task.trail, &mut task.ledger);

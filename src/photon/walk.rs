@@ -104,23 +104,26 @@ pub fn walk(
         let reflected = scale(photon.flux, if ends { Vec3::ZERO } else { met.reflected });
         let thrown = scale(photon.flux, bounce.map_or(Vec3::ZERO, |b| b.share));
         let passed = scale(photon.flux, met.passed);
+        let transmitted = scale(photon.flux, if ends { Vec3::ZERO } else { met.transmitted });
         // Roulette by the largest channel: the photon goes on in one of the ways, as heavy as before.
         let largest = max(photon.flux);
         let r = u64::from(random()) * u64::from(largest);
-        let upto = [reflected, thrown, passed].map(|share| u64::from(max(share)) << 32);
-        let (next, share) = if r < upto[0] {
+        let each = [reflected, thrown, passed, transmitted].map(|share| u64::from(max(share)) << 32);
+        let (next, share) = if r < each[0] {
             (Some(Way::Diffuse), reflected)
-        } else if r < upto[0] + upto[1] {
+        } else if r < each[0] + each[1] {
             (bounce.map(Way::Specular), thrown)
-        } else if r < upto[0] + upto[1] + upto[2] {
+        } else if r < each[0] + each[1] + each[2] {
             (Some(Way::Straight), passed)
+        } else if r < each[0] + each[1] + each[2] + each[3] {
+            (Some(Way::DiffuseBeyond), transmitted)
         } else {
             (None, [0; 3])
         };
         // What the surface keeps of all shares; a back side's keep is counted apart.
         let kept = if met.receives { &mut ledger.absorbed } else { &mut ledger.back_absorbed };
         let expected: [i128; 3] =
-            std::array::from_fn(|c| i128::from(reflected[c]) + i128::from(thrown[c]) + i128::from(passed[c]));
+            std::array::from_fn(|c| [reflected, thrown, passed, transmitted].iter().map(|s| i128::from(s[c])).sum());
         (0..3).for_each(|c| kept[c] += i128::from(photon.flux[c]) - expected[c]);
         let Some(way) = next else {
             (0..3).for_each(|c| ledger.roulette[c] -= expected[c]);
@@ -139,8 +142,12 @@ pub fn walk(
             }
             Way::Specular(b) => (if b.through { at.beyond(world) } else { at.origin }, b.direction),
             Way::Straight => (at.beyond(world), photon.ray.direction),
+            Way::DiffuseBeyond => {
+                let u = Vec2::new(unit_f32(random()), unit_f32(random()));
+                (at.opposite(world).origin, cosine_hemisphere(-met.facing, u))
+            }
         };
-        let caustic = photon.caustic && !matches!(way, Way::Diffuse);
+        let caustic = photon.caustic && !matches!(way, Way::Diffuse | Way::DiffuseBeyond);
         photon = Photon { ray: Ray { origin, direction, t_max: f32::INFINITY }, flux, caustic, ..photon };
     }
     add(&mut ledger.cut, photon.flux);
@@ -151,6 +158,8 @@ enum Way {
     Diffuse,
     Specular(Bounce),
     Straight,
+    /// On the side that it did not come from.
+    DiffuseBeyond,
 }
 
 fn add(sum: &mut [i128; 3], flux: [u32; 3]) {

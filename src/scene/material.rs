@@ -30,13 +30,21 @@ pub struct Material {
     pub transmission: f32,
     /// Linear texture whose red channel multiplies the transmission.
     pub transmission_texture: Option<TextureRef>,
+    /// Share of the diffuse light that leaves on the far side, in [0, 1] (KHR_materials_diffuse_transmission).
+    pub diffuse_transmission: f32,
+    /// Linear texture whose alpha channel multiplies that share.
+    pub diffuse_transmission_texture: Option<TextureRef>,
+    /// Colour of that light, in [0, 1]: the base colour does not multiply it.
+    pub diffuse_transmission_color: Vec3,
+    /// sRGB texture multiplied with that colour.
+    pub diffuse_transmission_color_texture: Option<TextureRef>,
     /// Index of refraction of the glass, at least 1 (KHR_materials_ior).
     pub ior: f32,
     /// The glass is a solid, which refracts (KHR_materials_volume): else thin, and light passes straight.
     pub solid: bool,
     /// Absorption in the solid (1/m).
     pub absorption: Vec3,
-    /// Both sides reflect and emit; otherwise the back absorbs, but for glass.
+    /// Both sides reflect and emit; otherwise the back absorbs, but for glass and what transmits diffusely.
     pub double_sided: bool,
     /// KHR_materials_unlit: blocks light, but neither emits nor reflects.
     pub unlit: bool,
@@ -59,6 +67,10 @@ impl Default for Material {
             alpha: Alpha::Opaque,
             transmission: 0.0,
             transmission_texture: None,
+            diffuse_transmission: 0.0,
+            diffuse_transmission_texture: None,
+            diffuse_transmission_color: Vec3::ONE,
+            diffuse_transmission_color_texture: None,
             ior: 1.5,
             solid: false,
             absorption: Vec3::ZERO,
@@ -104,15 +116,21 @@ impl Material {
         !self.unlit && (self.metallic > 0.0 || self.transmission > 0.0 && (self.solid || self.ior > 1.0))
     }
 
-    /// True where some point may reflect light diffusely: else nobody would see a lightmap on it.
+    /// True where some diffuse light may leave on the side that it did not come from.
+    pub fn transmits_diffusely(&self) -> bool {
+        !self.unlit && self.diffuse_transmission > 0.0 && self.diffuse_transmission_color.max_element() > 0.0
+    }
+
+    /// True where some point may send on light diffusely: else nobody would see a lightmap on it.
     pub fn shows_diffuse_light(&self) -> bool {
         let all = |factor: f32, texture: &Option<TextureRef>| factor >= 1.0 && texture.is_none();
         let specular = all(self.metallic, &self.metallic_texture) || all(self.transmission, &self.transmission_texture);
-        !self.unlit && !specular && self.base_color.truncate().max_element() > 0.0
+        let colored = self.base_color.truncate().max_element() > 0.0 || self.transmits_diffusely();
+        !self.unlit && !specular && colored
     }
 
-    /// True where light arrives from both sides: glass has no back.
+    /// True where light arrives from both sides: glass has no back, nor has what light passes diffusely.
     pub fn is_two_sided(&self) -> bool {
-        self.double_sided || self.transmission > 0.0 && self.is_specular()
+        self.double_sided || self.transmits_diffusely() || self.transmission > 0.0 && self.is_specular()
     }
 }

@@ -74,6 +74,8 @@ impl SurfaceFlags {
 pub struct SurfacePoint {
     /// Diffuse reflectance rho in [0, 1] of the surface where it is present: alpha not applied.
     pub albedo: Vec3,
+    /// Diffuse transmittance in [0, 1], of light that leaves by Lambert's law on the far side: alpha not applied.
+    pub diffuse_transmittance: Vec3,
     /// Emitted radiance (nit) where the surface is present: alpha not applied.
     pub emission: Vec3,
     /// Share of the light that meets the surface at all, in [0, 1]; 0 or 1 for MASK, 1 for OPAQUE.
@@ -89,6 +91,11 @@ impl SurfacePoint {
     /// Share of light per channel that is reflected.
     pub fn reflected(&self) -> Vec3 {
         self.albedo * self.alpha
+    }
+
+    /// Share of light per channel that leaves diffusely on the far side.
+    pub fn transmitted(&self) -> Vec3 {
+        self.diffuse_transmittance * self.alpha
     }
 
     /// Share of light per channel that passes straight, beside the surface and through it, for light with a cosine to
@@ -121,7 +128,9 @@ pub struct Met {
     pub passes: bool,
     /// Share per channel that is reflected; 0 where that side does not receive.
     pub reflected: Vec3,
-    /// Share per channel that passes.
+    /// Share per channel that leaves diffusely on the far side; 0 where that side does not receive.
+    pub transmitted: Vec3,
+    /// Share per channel that passes straight.
     pub passed: Vec3,
     /// What leaves as from a mirror or through a lens.
     pub specular: Option<Specular>,
@@ -313,12 +322,13 @@ impl<'s> World<'s> {
         let receives = !back || flags.has(SurfaceFlags::DOUBLE_SIDED);
         let passes = flags.has(SurfaceFlags::PASSES_LIGHT);
         let facing = if back { -normal } else { normal };
-        let (reflected, passed) = (Vec3::ZERO, Vec3::ZERO);
-        let mut met = Met { back, facing, receives, passes, reflected, passed, specular: None };
+        let (reflected, transmitted, passed) = (Vec3::ZERO, Vec3::ZERO, Vec3::ZERO);
+        let mut met = Met { back, facing, receives, passes, reflected, transmitted, passed, specular: None };
         if receives || passes {
             let surface = self.surface(triangle, uv);
             if receives {
                 (met.reflected, met.specular) = (surface.reflected(), surface.specular);
+                met.transmitted = surface.transmitted();
             }
             if passes {
                 met.passed = surface.passed(normal.dot(direction));
@@ -377,9 +387,15 @@ impl<'s> World<'s> {
         let base = material.base_color * color * look(&material.base_color_texture, ColorSpace::Srgb);
         let metal = look(&material.metallic_texture, ColorSpace::Linear);
         let transmission = material.transmission * look(&material.transmission_texture, ColorSpace::Linear).x;
+        let diffuse_transmission =
+            material.diffuse_transmission * look(&material.diffuse_transmission_texture, ColorSpace::Linear).w;
+        let transmitted_color = material.diffuse_transmission_color
+            * look(&material.diffuse_transmission_color_texture, ColorSpace::Srgb).truncate();
         let emission = material.emission * look(&material.emission_texture, ColorSpace::Srgb).truncate();
         let (roughness, metallic) = (material.roughness * metal.y, material.metallic * metal.z);
-        resolve(material, base, [metallic, roughness], transmission, emission)
+        let point =
+            Inputs { base, metallic, roughness, transmission, diffuse_transmission, transmitted_color, emission };
+        resolve(material, &point)
     }
 }
 
@@ -387,7 +403,9 @@ fn material_flags(material: &Material, primitive: &Primitive) -> SurfaceFlags {
     let textured = material.base_color_texture.is_some()
         || material.metallic_texture.is_some()
         || material.emission_texture.is_some()
-        || material.transmission_texture.is_some();
+        || material.transmission_texture.is_some()
+        || material.diffuse_transmission_texture.is_some()
+        || material.diffuse_transmission_color_texture.is_some();
     let emits = !material.unlit && material.bake != BakeMode::Off && material.emission.max_element() > 0.0;
     SurfaceFlags::default()
         .with(SurfaceFlags::DOUBLE_SIDED, material.is_two_sided())
@@ -399,26 +417,49 @@ fn material_flags(material: &Material, primitive: &Primitive) -> SurfaceFlags {
 }
 
 fn constant_point(m: &Material) -> SurfacePoint {
-    resolve(m, m.base_color, [m.metallic, m.roughness], m.transmission, m.emission)
+    let point = Inputs {
+        base: m.base_color,
+        metallic: m.metallic,
+        roughness: m.roughness,
+        transmission: m.transmission,
+        diffuse_transmission: m.diffuse_transmission,
+        transmitted_color: m.diffuse_transmission_color,
+        emission: m.emission,
+    };
+    resolve(m, &point)
+}
+
+/// The numbers of a material at a point, textures applied.
+struct Inputs {
+    base: Vec4,
+    metallic: f32,
+    roughness: f32,
+    transmission: f32,
+    diffuse_transmission: f32,
+    transmitted_color: Vec3,
+    emission: Vec3,
 }
 
 /// The split of the light that meets a surface: a metal has a specular lobe alone, of the rest a share `transmission` is
-/// glass, and what remains is diffuse. The coat of a dielectric is counted as diffuse.
-fn resolve(
-    m: &Material,
-    base: Vec4,
-    [metallic, roughness]: [f32; 2],
-    transmission: f32,
-    emission: Vec3,
-) -> SurfacePoint {
+/// glass, and what remains is diffuse, of which a share `diffuse_transmission` leaves on the far side. The coat of a
+/// dielectric is counted as diffuse.
+fn resolve(m: &Material, point: &Inputs) -> SurfacePoint {
+    let &Inputs { base, metallic, roughness, transmission, diffuse_transmission, transmitted_color, emission } = point;
     let alpha = match m.alpha {
         Alpha::Opaque => 1.0,
         Alpha::Mask { cutoff } => f32::from(u8::from(base.w >= cutoff)),
         Alpha::Blend => base.w.clamp(0.0, 1.0),
     };
-    let (albedo, transmittance) = (Vec3::ZERO, Vec3::ZERO);
     if m.unlit {
-        return SurfacePoint { albedo, emission: Vec3::ZERO, alpha, transmittance, specular: None };
+        let none = Vec3::ZERO;
+        return SurfacePoint {
+            albedo: none,
+            diffuse_transmittance: none,
+            emission: none,
+            alpha,
+            transmittance: none,
+            specular: None,
+        };
     }
     let (metal, t) = (metallic.clamp(0.0, 1.0), transmission.clamp(0.0, 1.0));
     let base = base.truncate().clamp(Vec3::ZERO, Vec3::ONE);
@@ -435,8 +476,11 @@ fn resolve(
         absorption: m.absorption,
         alpha: roughness.clamp(0.0, 1.0).powi(2),
     };
+    let far = diffuse_transmission.clamp(0.0, 1.0);
+    let diffuse_transmittance = transmitted_color.clamp(Vec3::ZERO, Vec3::ONE) * ((1.0 - metal) * (1.0 - t) * far);
     SurfacePoint {
-        albedo: color * (1.0 - t),
+        albedo: color * (1.0 - t) * (1.0 - far),
+        diffuse_transmittance,
         emission,
         alpha,
         transmittance: if m.solid { Vec3::ZERO } else { color * t },

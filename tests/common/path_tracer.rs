@@ -29,6 +29,8 @@ struct Triangle {
     normal: DVec3,
     area: f64,
     albedo: DVec3,
+    /// Share of light per channel that leaves diffusely on the far side.
+    transmitted: DVec3,
     emission: DVec3,
     double_sided: bool,
     /// Share of light per channel that passes straight through.
@@ -57,6 +59,8 @@ impl<'s> PathTracer<'s> {
                 let alpha = if m.alpha == Alpha::Blend { f64::from(m.base_color.w) } else { 1.0 };
                 let base = m.base_color.truncate().as_dvec3();
                 let transmission = f64::from(m.transmission);
+                let far = f64::from(m.diffuse_transmission);
+                let diffuse = (1.0 - transmission) * alpha;
                 for t in &primitive.triangles {
                     let [a, b, c] = t.map(|v| primitive.positions[v as usize].as_dvec3());
                     let across = (b - a).cross(c - a);
@@ -65,9 +69,10 @@ impl<'s> PathTracer<'s> {
                         edges: [b - a, c - a],
                         normal: across.normalize(),
                         area: across.length() / 2.0,
-                        albedo: base * (1.0 - transmission) * alpha,
+                        albedo: base * diffuse * (1.0 - far),
+                        transmitted: m.diffuse_transmission_color.as_dvec3() * diffuse * far,
                         emission: m.emission.as_dvec3() * alpha,
-                        double_sided: m.double_sided,
+                        double_sided: m.double_sided || far > 0.0,
                         passed: DVec3::splat(1.0 - alpha) + base * transmission * alpha,
                     });
                 }
@@ -96,18 +101,23 @@ impl<'s> PathTracer<'s> {
             let w = self.direction(normal, random);
             let Some((hit, at, passed)) = self.reflecting_hit(p, w, random) else { break };
             let t = &self.triangles[hit];
-            weight *= t.albedo * passed;
-            // Roulette by the albedo itself keeps the weight near 1.
-            let survival = t.albedo.max_element();
-            if survival <= 0.0 || random.unit() >= survival {
+            let facing = if t.normal.dot(w) > 0.0 { -t.normal } else { t.normal };
+            // Roulette by the shares themselves keeps the weight near 1.
+            let [reflected, transmitted] = [t.albedo, t.transmitted].map(DVec3::max_element);
+            let pick = random.unit();
+            if pick < reflected {
+                weight *= passed * t.albedo / reflected;
+                normal = facing;
+            } else if pick < reflected + transmitted {
+                weight *= passed * t.transmitted / transmitted;
+                normal = -facing;
+            } else {
                 break;
             }
-            weight /= survival;
             if first && self.fault == Fault::HalfTwice {
                 weight *= 1.5;
             }
             first = false;
-            normal = if t.normal.dot(w) > 0.0 { -t.normal } else { t.normal };
             p = at;
         }
         if self.fault == Fault::Gain { sum * 1.01 } else { sum }

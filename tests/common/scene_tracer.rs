@@ -132,12 +132,12 @@ impl<'b> SceneTracer<'b> {
                 let normal = self.world.normals[triangle as usize];
                 let back = normal.dot(w) > 0.0;
                 let s = self.world.surface(triangle, uv);
-                let mut reflected = Vec3::ZERO;
+                let (mut reflected, mut transmitted) = (Vec3::ZERO, Vec3::ZERO);
                 if !back || flags.has(SurfaceFlags::DOUBLE_SIDED) {
                     let d2 = (self.world.position(triangle, uv) - at.origin).length_squared();
                     let share = self.share_of_scattered_ray(triangle, at.normal.dot(w), normal.dot(w).abs(), d2);
                     sum += (weight * s.emission * (s.alpha * PI * share)).as_dvec3();
-                    reflected = s.albedo * s.alpha;
+                    (reflected, transmitted) = (s.albedo * s.alpha, s.diffuse_transmittance * s.alpha);
                 }
                 let passed = if flags.has(SurfaceFlags::PASSES_LIGHT) { passed(&s) } else { Vec3::ZERO };
                 let (to_reflect, to_pass) = (reflected.max_element(), passed.max_element());
@@ -147,7 +147,12 @@ impl<'b> SceneTracer<'b> {
                     break self.point(triangle, uv, back);
                 }
                 if chance >= to_reflect + to_pass {
-                    return sum;
+                    let to_transmit = transmitted.max_element();
+                    if chance >= to_reflect + to_pass + to_transmit {
+                        return sum;
+                    }
+                    weight *= transmitted / to_transmit;
+                    break self.point(triangle, uv, !back);
                 }
                 weight *= passed / to_pass;
                 origin = self.point(triangle, uv, !back).origin;

@@ -107,7 +107,11 @@ impl<F: Fn(&Ray) -> Option<Hit>> View<'_, F> {
                 let e = self.irradiance(hit.triangle, uv, back);
                 let (normal, way) = (self.world.normals[hit.triangle as usize], ray.direction.normalize());
                 surface_seen |= surface.alpha > 0.0;
-                light += throughput * surface.alpha * (surface.albedo * e * FRAC_1_PI + surface.emission);
+                let mut sent = surface.albedo * e;
+                if surface.diffuse_transmittance != Vec3::ZERO {
+                    sent += surface.diffuse_transmittance * self.irradiance(hit.triangle, uv, !back);
+                }
+                light += throughput * surface.alpha * (sent * FRAC_1_PI + surface.emission);
                 let metal = surface.specular.map_or(Vec3::ZERO, |s| s.metal_color * s.metal);
                 // One way to go on must do: the brighter.
                 let passed = surface.passed(normal.dot(way)) + surface.seen_through();

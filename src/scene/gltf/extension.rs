@@ -18,6 +18,7 @@ const SUPPORTED: &[&str] = &[
     "EXT_lights_image_based",
     "EXT_texture_webp",
     "KHR_lights_punctual",
+    "KHR_materials_diffuse_transmission",
     "KHR_materials_emissive_strength",
     "KHR_materials_ior",
     "KHR_materials_pbrSpecularGlossiness",

@@ -2,7 +2,7 @@
 
 use super::extension;
 use super::primitive::has_tex_coord;
-use super::reader::Reader;
+use super::reader::{REPAIR, Reader};
 use crate::error::SceneError;
 use crate::scene::{Alpha, Material, Mesh, Texture, TextureRef, Wrap};
 use glam::{Affine2, Mat2, Vec2, Vec3, Vec4};
@@ -10,6 +10,7 @@ use gltf::json;
 use json::material::AlphaMode;
 use json::texture::{Info, MagFilter, WrappingMode};
 use json::validation::Checked;
+use serde::Deserialize;
 use std::collections::BTreeMap;
 use std::collections::btree_map::Entry;
 use std::sync::Arc;
@@ -91,6 +92,14 @@ fn read_material(
         material.transmission = unit(reader, Vec4::splat(t.transmission_factor.0), &label).x;
         material.transmission_texture = textures.read(reader, t.transmission_texture.as_ref(), &label)?;
     }
+    if let Some(t) = extensions.others.get("KHR_materials_diffuse_transmission") {
+        let t = DiffuseTransmission::deserialize(t)
+            .map_err(|e| reader.invalid(format!("{label}: KHR_materials_diffuse_transmission: {e}; {REPAIR}")))?;
+        material.diffuse_transmission = unit(reader, Vec4::splat(t.factor), &label).x;
+        material.diffuse_transmission_texture = textures.read(reader, t.texture.as_ref(), &label)?;
+        material.diffuse_transmission_color = unit(reader, Vec3::from(t.color).extend(0.0), &label).truncate();
+        material.diffuse_transmission_color_texture = textures.read(reader, t.color_texture.as_ref(), &label)?;
+    }
     if let Some(ior) = &extensions.ior {
         material.ior = ior.ior.0;
         if !(1.0..=MOST_IOR).contains(&material.ior) {
@@ -117,6 +126,26 @@ fn read_material(
         }
     };
     Ok(material)
+}
+
+/// KHR_materials_diffuse_transmission, which the crate does not know.
+#[derive(Deserialize)]
+#[serde(default)]
+struct DiffuseTransmission {
+    #[serde(rename = "diffuseTransmissionFactor")]
+    factor: f32,
+    #[serde(rename = "diffuseTransmissionTexture")]
+    texture: Option<Info>,
+    #[serde(rename = "diffuseTransmissionColorFactor")]
+    color: [f32; 3],
+    #[serde(rename = "diffuseTransmissionColorTexture")]
+    color_texture: Option<Info>,
+}
+
+impl Default for DiffuseTransmission {
+    fn default() -> Self {
+        DiffuseTransmission { factor: 0.0, texture: None, color: [1.0; 3], color_texture: None }
+    }
 }
 
 /// No glass refracts as much.
@@ -257,7 +286,14 @@ fn warn_missing_tex_coords(reader: &mut Reader, meshes: &[Mesh], materials: &[Ma
     for mesh in meshes {
         for primitive in &mesh.primitives {
             let m = &materials[primitive.material];
-            let used = [&m.base_color_texture, &m.metallic_texture, &m.emission_texture, &m.transmission_texture];
+            let used = [
+                &m.base_color_texture,
+                &m.metallic_texture,
+                &m.emission_texture,
+                &m.transmission_texture,
+                &m.diffuse_transmission_texture,
+                &m.diffuse_transmission_color_texture,
+            ];
             let missing = used.into_iter().flatten().find(|t| !has_tex_coord(primitive, t.tex_coord));
             if let Some(t) = missing {
                 let label = reader.label("meshes", mesh.source);
