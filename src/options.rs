@@ -197,7 +197,7 @@ pub enum Normals {
 /// Which side of a double-sided surface is stored.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum DoubleSided {
-    /// Per chart, the side that receives more.
+    /// Per chart, the side that receives more; the front of what is drawn from there alone.
     Auto,
     /// The front.
     Front,

@@ -362,6 +362,23 @@ fn leaf(base: [f32; 3], transmitted: [f32; 3]) -> Material {
     }
 }
 
+/// Of a leaf that is drawn from its front alone, the map holds the front, however much brighter the back is; and so it does
+/// of glass.
+#[test]
+fn maps_hold_the_side_that_is_drawn() {
+    let glass = Material { transmission: 0.5, ior: 1.2, ..Material::default() };
+    for material in [leaf([0.5; 3], [0.5; 3]), glass] {
+        for (double_sided, candela) in [(false, 10.0), (true, 30.0)] {
+            let scene = between_two_lamps(Material { double_sided, ..material.clone() });
+            let bake = run(&scene, &one_round(PAGE));
+            let page = &bake.lightmap.pages[0];
+            let lit = page.irradiance.iter().zip(&page.coverage).filter(|(_, c)| **c > 0.0);
+            let found = lit.map(|(e, _)| f64::from(e[0])).sum::<f64>() / 64.0;
+            assert!((found / from_lamp(candela) - 1.0).abs() < 0.05, "{found}");
+        }
+    }
+}
+
 /// The sun on a leaf: below, it shines as a lamp of the radiance t E / pi would, on a tile that gets no other light.
 #[test]
 fn a_leaf_shines_below() {

@@ -65,7 +65,7 @@ impl Solver<'_, '_> {
         let DirectLight { apart, soft } = self.direct_light(&indirect);
         let direct = soft.as_ref().map_or_else(|| apart.clone(), |soft| apart.plus(&soft.halves));
         let total = direct.plus(&indirect);
-        let weights = stored_weights(self.path.surface, &self.weights, self.options.double_sided, &total);
+        let weights = stored_weights(self.path, &self.weights, self.options.double_sided, &total);
 
         let weight = |k: usize| {
             let i = tree.elements[k].texel as usize;
@@ -286,14 +286,20 @@ impl Solver<'_, '_> {
 }
 
 /// `weights` with the sides that are not stored set to 0: where that is automatic, the darker side of each chart by its
-/// light in `total`.
+/// light in `total`. The back of glass or of a leaf that is not double-sided receives light, but is not drawn, and never
+/// stands for both.
 pub(super) fn stored_weights(
-    surface: &Surface,
+    path: LightPath,
     weights: &TexelWeights,
     sides: DoubleSided,
     total: &Halves,
 ) -> TexelWeights {
+    let LightPath { surface, visibility, .. } = path;
     let texels = &surface.texels.texels[..surface.texels.mapped];
+    let drawn = |i: usize| {
+        let piece = surface.texels.pieces_of(i).first();
+        !texels[i].back || piece.is_some_and(|p| visibility.world.material(p.triangle).double_sided)
+    };
     let mut weights = weights.clone();
     match sides {
         DoubleSided::Split => {}
@@ -303,7 +309,7 @@ pub(super) fn stored_weights(
         DoubleSided::Auto => {
             let charts = texels.iter().filter(|t| t.chart != NO_CHART).map(|t| t.chart as usize + 1).max().unwrap_or(0);
             let mut received = vec![[0f64; 2]; charts];
-            for (i, t) in texels.iter().enumerate() {
+            for (i, t) in texels.iter().enumerate().filter(|&(i, _)| drawn(i)) {
                 received[t.chart as usize][usize::from(t.back)] +=
                     f64::from(t.area) * f64::from(total.mean(surface.shown[i] as usize).element_sum());
             }

@@ -106,7 +106,7 @@ impl Solver<'_, '_> {
         let smooth = Reconstruction::new(&tree, [&caught[0], &caught[1]], self.path.visibility.accel);
         let light = Smooth { caught, found: smooth };
         let total = self.direct_halves(false).plus(&self.texel_halves(found));
-        let weights = stored_weights(self.path.surface, &self.weights, self.options.double_sided, &total);
+        let weights = stored_weights(self.path, &self.weights, self.options.double_sided, &total);
         let weight = |k: usize| self.open_weight(&weights, tree.elements[k].texel as usize);
         // Bias is looked for texel by texel, as that of direct light.
         let (compared, blocks) = (light.compared(&tree), &light.found.blocks);

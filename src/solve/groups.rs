@@ -110,7 +110,7 @@ fn sides(
     let texels = &path.surface.texels;
     let has_backs = texels.texels[..texels.mapped].iter().any(|t| t.back);
     if options.double_sided == DoubleSided::Front {
-        return Ok(stored_weights(path.surface, &weights, options.double_sided, &Halves::default()));
+        return Ok(stored_weights(path, &weights, options.double_sided, &Halves::default()));
     }
     if options.double_sided == DoubleSided::Split || !has_backs {
         return Ok(weights);
