@@ -337,3 +337,35 @@ fn inspect_speaks_text_and_json() {
     assert!(inspection["triangles"].as_u64().is_some_and(|n| (1000..5000).contains(&n)));
     assert_eq!(files(folder.path()), [""; 0], "inspect writes nothing");
 }
+
+/// A white leaf that lets half the light through in a dark colour is not too white.
+#[test]
+fn inspect_finds_what_is_whiter_than_any_surface() {
+    let folder = temporary();
+    let corners = [[0.0, 0.0, 0.0], [0.0, 0.0, 1.0], [1.0, 0.0, 1.0], [1.0, 0.0, 0.0]];
+    let leaf = |name: &str, share: f32| {
+        let values =
+            serde_json::json!({"diffuseTransmissionFactor": share, "diffuseTransmissionColorFactor": [0.1, 0.2, 0.1]});
+        serde_json::json!({"name": name, "pbrMetallicRoughness": {"metallicFactor": 0},
+            "extensions": {"KHR_materials_diffuse_transmission": values}})
+    };
+    let scene = SceneBuilder::new()
+        .material("white", [1.0; 3])
+        .quad("a", corners)
+        .material("grey", [0.5; 3])
+        .quad("b", corners)
+        .material_json(leaf("leaf", 0.5))
+        .quad("c", corners)
+        .material_json(leaf("white leaf", 0.01))
+        .quad("d", corners);
+    let path = folder.path().join("scene.glb");
+    std::fs::write(&path, scene.glb()).expect("the folder can be written");
+    let output = evenlight(folder.path(), &["inspect", "scene.glb", "--json"]);
+    expect(&output, 0);
+    let inspection: Value = serde_json::from_slice(&output.stdout).expect("valid JSON");
+    let warnings = inspection["warnings"].as_array().expect("a list");
+    let white: Vec<&str> =
+        warnings.iter().filter(|w| w["code"] == "very-white").filter_map(|w| w["message"].as_str()).collect();
+    let [wall, leaf] = white[..] else { panic!("{white:?}") };
+    assert!(wall.contains("'white' reflects 100 %") && leaf.contains("'white leaf' reflects and transmits 99 %"));
+}

@@ -261,13 +261,17 @@ fn judge(i: &Inspection, scene: &Scene, areas: &[f64]) -> Vec<Warning> {
         say("one-large-node", format!("node '{}' has {share:.0} % of the area and will take the texels", e.name));
     }
     for (m, _) in scene.materials.iter().zip(areas).filter(|(_, area)| **area > 0.0) {
-        let reflectance = m.base_color.truncate().max_element() * (1.0 - m.metallic);
-        if reflectance > 0.95 && m.base_color_texture.is_none() && !m.unlit && m.transmission == 0.0 {
+        let both_ways = m.base_color.truncate().lerp(m.diffuse_transmission_color, m.diffuse_transmission);
+        let reflectance = both_ways.max_element() * (1.0 - m.metallic);
+        let mut textures =
+            [&m.base_color_texture, &m.diffuse_transmission_texture, &m.diffuse_transmission_color_texture].into_iter();
+        if reflectance > 0.95 && textures.all(Option::is_none) && !m.unlit && m.transmission == 0.0 {
             say(
                 "very-white",
                 format!(
-                    "material '{}' reflects {:.0} % of the light; no real surface does",
+                    "material '{}' {} {:.0} % of the light; no real surface does",
                     m.name,
+                    if m.diffuse_transmission > 0.0 { "reflects and transmits" } else { "reflects" },
                     100.0 * reflectance
                 ),
             );
