@@ -74,7 +74,8 @@ impl Sky {
     ///
     /// # Errors
     /// [`SceneError`] names the file and the cure: not readable, neither format, damaged, more than 2^28
-    /// texels, or a `rotation` or `scale` that is not finite (`scale` may not be negative either).
+    /// texels or more than its bytes can hold, or a `rotation` or `scale` that is not finite (`scale` may not be
+    /// negative either).
     pub fn from_file(path: &Path, rotation: f32, scale: f32) -> Result<(Sky, Vec<Warning>), SceneError> {
         let io = |source| SceneError::Io { path: path.into(), source };
         if !path.metadata().map_err(io)?.is_file() {
@@ -84,8 +85,11 @@ impl Sky {
         Sky::from_bytes(path, &std::fs::read(path).map_err(io)?, rotation, scale)
     }
 
-    /// The contents of a file; `path` names it in messages.
-    fn from_bytes(path: &Path, bytes: &[u8], rotation: f32, scale: f32) -> Result<(Sky, Vec<Warning>), SceneError> {
+    /// The contents of such a file; `path` names it in messages.
+    ///
+    /// # Errors
+    /// As [`from_file`](Self::from_file), but for the file system's.
+    pub fn from_bytes(path: &Path, bytes: &[u8], rotation: f32, scale: f32) -> Result<(Sky, Vec<Warning>), SceneError> {
         let invalid = |what: String| SceneError::Invalid { path: path.into(), what };
         if !rotation.is_finite() || !scale.is_finite() || scale < 0.0 {
             return Err(invalid(format!(
@@ -131,20 +135,32 @@ struct Picture {
     radiance: Vec<Vec3>,
 }
 
-/// The size of an image, if it is one that may be decoded.
-fn check_size(width: usize, height: usize) -> Result<(), String> {
+/// Texels of a picture that is read whatever its length: 192 MiB.
+const MODEST_TEXELS: u64 = 1 << 24;
+
+/// Most texels of a larger picture that a byte of its file may stand for. ZIP makes a byte of 172 texels of one colour,
+/// the runs of .hdr of 16; codes that make more of them do so of pictures that show nothing.
+const TEXELS_PER_BYTE: u64 = 512;
+
+/// Whether a picture in so many bytes may be decoded: memory for it is taken before it is read, so that its size alone,
+/// which a few bytes can say, must not decide.
+fn check_size(width: usize, height: usize, bytes: usize) -> Result<(), String> {
     let texels = (width as u64).checked_mul(height as u64);
-    match texels {
-        Some(1..=MAX_IMAGE_TEXELS) => Ok(()),
-        _ => Err(format!("has {width} x {height} texels, outside 1 to {MAX_IMAGE_TEXELS}")),
+    let Some(texels @ 1..=MAX_IMAGE_TEXELS) = texels else {
+        return Err(format!("has {width} x {height} texels, outside 1 to {MAX_IMAGE_TEXELS}"));
+    };
+    if texels > MODEST_TEXELS.max((bytes as u64).saturating_mul(TEXELS_PER_BYTE)) {
+        let what = "are too few for them: it is cut off, or of one colour and can be smaller";
+        return Err(format!("has {width} x {height} texels, but its {bytes} bytes {what}"));
     }
+    Ok(())
 }
 
 fn read_hdr(bytes: &[u8]) -> Result<Picture, String> {
     let damaged = |e: image::ImageError| format!("is damaged ({e})");
     let decoder = image::codecs::hdr::HdrDecoder::new(Cursor::new(bytes)).map_err(damaged)?;
     let (width, height) = decoder.dimensions();
-    check_size(width as usize, height as usize)?;
+    check_size(width as usize, height as usize, bytes.len())?;
     // The header's EXPOSURE has already been multiplied into the values.
     let exposure = decoder.metadata().exposure.filter(|e| e.is_finite() && *e > 0.0).unwrap_or(1.0);
     let picture = image::DynamicImage::from_decoder(decoder).map_err(damaged)?.into_rgb32f();
@@ -156,7 +172,7 @@ fn read_exr(bytes: &[u8]) -> Result<Picture, String> {
     let damaged = |e: exr::Error| format!("is damaged or has no R, G and B ({e})");
     let meta = exr::MetaData::read_from_buffered(Cursor::new(bytes), false).map_err(damaged)?;
     for header in &meta.headers {
-        check_size(header.layer_size.width(), header.layer_size.height())?;
+        check_size(header.layer_size.width(), header.layer_size.height(), bytes.len())?;
     }
     let image = exr::read()
         .no_deep_data()

@@ -44,7 +44,8 @@ pub struct Texture {
 pub(super) struct Image {
     pub(super) width: u32,
     pub(super) height: u32,
-    pub(super) rgba: Vec<[u8; 4]>,
+    /// Four bytes each, as the decoder left them: a copy would be the largest thing that a scene makes us hold.
+    pub(super) rgba: Vec<u8>,
 }
 
 /// Largest number of texels an input image may have: 16384 x 16384.
@@ -79,10 +80,11 @@ impl Texture {
     pub fn sample(&self, uv: Vec2, space: ColorSpace) -> Vec4 {
         let Ok(image) = self.image() else { return Vec4::ONE };
         let size = [image.width as i64, image.height as i64];
+        let texels: &[[u8; 4]] = bytemuck::cast_slice(&image.rgba);
         let fetch = |x: i64, y: i64| {
             let x = wrap(x, size[0], self.wrap[0]);
             let y = wrap(y, size[1], self.wrap[1]);
-            decode_texel(image.rgba[(y * size[0] + x) as usize], space)
+            decode_texel(texels[(y * size[0] + x) as usize], space)
         };
         // Non-finite coordinates land on texel 0 instead of anywhere.
         let at = |v: f32, n: i64| if v.is_finite() { (v - v.floor() + v.floor() % 1024.0) * n as f32 } else { 0.0 };
@@ -140,5 +142,5 @@ fn decode(bytes: &[u8]) -> Result<Image, String> {
         return Err(format!("{w} x {h} texels is outside 1 to {MAX_IMAGE_TEXELS}"));
     }
     let image = image::load_from_memory(bytes).map_err(|e| e.to_string())?.into_rgba8();
-    Ok(Image { width: w, height: h, rgba: image.pixels().map(|p| p.0).collect() })
+    Ok(Image { width: w, height: h, rgba: image.into_raw() })
 }
