@@ -5,8 +5,8 @@ use crate::accuracy::{TexelWeights, add_illuminances};
 use crate::atlas::{self, Atlas, Texels, Unwrapping};
 use crate::backs::LitBacks;
 use crate::cache::{Cache, Digest, Keeping};
-use crate::error::BakeError;
-use crate::light::{Emitters, LightGroup, LightSettings, Lighting, Visibility};
+use crate::error::{BakeError, SceneError};
+use crate::light::{Emitters, LightGroup, LightSettings, Lighting, MOST_IRRADIANCE, Visibility};
 use crate::lightmap::{GridPoints, Lightmap, shown_error};
 use crate::observer::{Observer, Stage};
 use crate::options::{BakeOptions, Lights, UvSource};
@@ -15,6 +15,7 @@ use crate::report::{Report, Seconds};
 use crate::scene::{Scene, SurfaceFlags, World};
 use crate::skips::Skips;
 use crate::solve::{LightSeconds, Solution, Surface, solve_groups};
+use glam::Vec3;
 use std::time::Instant;
 
 /// A finished bake.
@@ -134,6 +135,7 @@ fn bake_here<'s>(
         audit: seconds.audit,
     } = solution.seconds;
     seconds.rounds.clone_from(&solution.rounds);
+    check_irradiance(scene, &solution)?;
     clock.lap();
 
     observer.stage(Stage::Finish);
@@ -168,6 +170,24 @@ fn bake_here<'s>(
     report.seconds = seconds;
     report.warnings.iter().for_each(|w| observer.warn(w));
     Ok(Bake { atlas, lightmap, report, lighting, world, accel, texels, solution, backs })
+}
+
+/// Refuses texels that no error can be stated of, such as those beside a lamp of a quintillion candela.
+fn check_irradiance(scene: &Scene, solution: &Solution) -> Result<(), BakeError> {
+    const MOST: Vec3 = Vec3::splat(MOST_IRRADIANCE);
+    let halves = solution.total.odd.iter().zip(&solution.total.even);
+    // What is no number is not below it either.
+    let too_bright = |(odd, even): (&Vec3, &Vec3)| !(odd.cmple(MOST).all() && even.cmple(MOST).all());
+    let Some((_, &instance)) = halves.zip(&solution.weights.instance).find(|((odd, even), _)| too_bright((odd, even)))
+    else {
+        return Ok(());
+    };
+    let node = &scene.instances[instance as usize].name;
+    let what = format!(
+        "node '{node}' receives more than {MOST_IRRADIANCE:e} lux; dim the lights in the file or by --light NAME=SCALE, or \
+         move them away"
+    );
+    Err(SceneError::Invalid { path: scene.source.path.clone(), what }.into())
 }
 
 /// All that the light of a bake depends on, but for where its texels are.

@@ -374,6 +374,48 @@ fn odd_materials_and_lights_bake() {
     }
 }
 
+/// Light that no error can be stated of is refused by its name, before or after it was traced; a sun as far away as it is,
+/// given in candela, is not.
+#[test]
+fn light_beyond_all_measure_is_refused_by_name() {
+    let emissive = |nit: f64| {
+        lit_room(0.5).material("glow", [0.5; 3]).quad("panel", sheet(1.0, [1.0; 2], [2.0; 2])).patch(move |j| {
+            j["materials"][1]["emissiveFactor"] = json!([1, 1, 1]);
+            j["materials"][1]["extensions"] = json!({"KHR_materials_emissive_strength": {"emissiveStrength": nit}});
+        })
+    };
+    let sun_above = |lux: f32| yard(0.5).sun("noon", [0.1, -1.0, 0.2], [lux; 3]);
+    let sun = |illuminance: f32| {
+        let sun = evenlight::options::Sun { elevation: 60.0, azimuth: 0.0, illuminance, diameter: 0.53 };
+        BakeOptions { sun: Some(sun), ..hasty() }
+    };
+    let far = yard(0.5).point_light("star", [0.0, 1.5e11, 0.0], [3e27; 3]);
+    let good = [
+        (lit_room(0.5).point_light("a", [1.0; 3], [1e18; 3]), hasty()),
+        (sun_above(1e18), hasty()),
+        (yard(0.5).sky([1e18; 3]), hasty()),
+        (emissive(1e18), hasty()),
+        (far, hasty()),
+        (yard(0.5), sun(1e18)),
+    ];
+    for (k, (builder, options)) in good.into_iter().enumerate() {
+        survives(&format!("strong light {k}"), builder, &options).unwrap_or_else(|| panic!("{k} is refused"));
+    }
+    let bad = [
+        (lit_room(0.5).point_light("a", [1.0; 3], [1e38; 3]), hasty(), "light 'a' has 1e38 cd"),
+        (lit_room(0.5).point_light("a", [1.0; 3], [1e25; 3]), hasty(), "receives more than 5e18 lux"),
+        (sun_above(1e19), hasty(), "light 'noon' has 1e19 lux"),
+        (yard(0.5).sky([1e38; 3]), hasty(), "the sky of the file: it has 1e38 nit"),
+        (emissive(1e30), hasty(), "material 'glow' emits 1e30 nit"),
+        (yard(0.5), sun(1e20), "--sun: it has 1e20 lux"),
+    ];
+    for (builder, options, expected) in bad {
+        let scene = evenlight::scene::gltf::load_bytes(Path::new("bright.glb"), &builder.glb()).expect("a good file");
+        let said = bake(&scene, &options, &mut NoObserver).expect_err(expected).to_string();
+        assert!(said.contains(expected), "{said}, not {expected}");
+    }
+}
+
 /// Hundreds of charts on a page of 16 texels: baked, with a warning.
 #[test]
 fn hundreds_of_charts_on_a_tiny_page() {

@@ -1,6 +1,7 @@
 //! The lights of a bake: those of the scene, and those that the options add.
 
 use super::groups::LightGroup;
+use super::strength;
 use crate::cache::Digest;
 use crate::error::{BakeError, Warning};
 use crate::options::{BakeOptions, SkySource};
@@ -32,7 +33,7 @@ impl Lighting {
     /// The lights of `scene` with the sky and sun of `options`. A sky in the options replaces the scene's.
     ///
     /// # Errors
-    /// A sky file that cannot be read, or a group of lights that nothing is in.
+    /// A sky file that cannot be read, light that is too strong to be baked, or a group of lights that nothing is in.
     pub fn new(scene: &Scene, options: &BakeOptions) -> Result<Lighting, BakeError> {
         let mut lights = scene.lights.clone();
         let mut warnings = Vec::new();
@@ -68,8 +69,9 @@ impl Lighting {
                 bake: BakeMode::Full,
             });
         }
-        let groups = LightGroup::all(scene, &lights, sky.is_some(), &options.groups)?;
         let sky_of_scene = options.sky.is_none() && sky.is_some();
+        strength::check(scene, &lights, sky.as_ref(), sky_of_scene)?;
+        let groups = LightGroup::all(scene, &lights, sky.is_some(), &options.groups)?;
         Ok(Lighting { lights, sky, sky_of_scene, groups, warnings })
     }
 }

@@ -17,6 +17,7 @@ mod punctual;
 mod receiver;
 mod sky;
 mod spherical;
+mod strength;
 mod tree;
 mod visibility;
 
@@ -27,4 +28,5 @@ pub use lighting::Lighting;
 pub use open::{COVER, cover_above, cover_height, cover_in_part, inside_solid, open_shares, shown_texels};
 pub use receiver::Receiver;
 pub use sky::SkySampler;
+pub use strength::{MOST_IRRADIANCE, MOST_RADIANCE};
 pub use visibility::Visibility;

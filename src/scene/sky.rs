@@ -52,6 +52,16 @@ impl Sky {
         }
     }
 
+    /// The largest channel of the radiance anywhere (nit).
+    pub(crate) fn largest(&self) -> f32 {
+        let of = |radiance: &[Vec3]| radiance.iter().fold(0.0, |most: f32, l| most.max(l.max_element()));
+        match self {
+            Sky::Constant(radiance) => of(std::slice::from_ref(radiance)),
+            Sky::Image { radiance, .. } => of(radiance),
+            Sky::Cube(map) => of(map.texels()),
+        }
+    }
+
     /// The same, turned by so many degrees about +Y, counter-clockwise as seen from above, and `scale` times as bright.
     pub fn changed(self, degrees: f32, scale: f32) -> Sky {
         if degrees == 0.0 && scale == 1.0 {
