@@ -3,13 +3,13 @@
 use crate::error::{BakeError, SceneError};
 use crate::scene::{Light, LightKind, Scene, Sky};
 
-/// Most radiance of a surface or the sky [nit], and most light of a sun [lux]. That of the sun's face is 1.6e9 nit.
+/// Most radiance of a surface or the sky (nit), and most light of a sun (lux). That of the sun's face is 1.6e9 nit.
 pub const MOST_RADIANCE: f32 = 1e18;
 
-/// Most intensity of a lamp [cd], as of IES files. The sun's is 3e27.
+/// Most intensity of a lamp (cd), as of IES files. The sun's is 3e27.
 const MOST_INTENSITY: f32 = 1e30;
 
-/// Most irradiance of a texel [lux]: the square of twice as much in three channels is finite. A surface under a sky of
+/// Most irradiance of a texel (lux): the square of twice as much in three channels is finite. A surface under a sky of
 /// [`MOST_RADIANCE`] gets pi times that.
 pub const MOST_IRRADIANCE: f32 = 5e18;
 
