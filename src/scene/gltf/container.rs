@@ -250,6 +250,10 @@ fn relative_path(uri: &str) -> Result<PathBuf, String> {
                     return Err(format!("its uri '{uri}' leaves the scene's folder, which is not allowed; {CURE}"));
                 }
             }
+            // Below a folder as well: where drives have letters, such a part takes the place of all before it.
+            drive if drive.as_bytes().get(1) == Some(&b':') => {
+                return Err(format!("its uri '{uri}' names a drive, which is not allowed; {CURE}"));
+            }
             name => path.push(name),
         }
     }
@@ -274,6 +278,9 @@ mod tests {
             "../a.bin",
             "a/../../a.bin",
             "..\\a.bin",
+            "a/C:/b.bin",
+            "a/C:b.bin",
+            "a\\C:\\..\\b.bin",
             "",
             ".",
             "a/..",

@@ -23,7 +23,8 @@ pub(super) fn tilt_file(name: &str, folder: Option<&Path>) -> Result<Vec<u8>, St
         return Err(format!("a profile inside a scene has no file beside it; write {}", &CURE[3..]));
     };
     let file = name.rsplit(['/', '\\']).next().unwrap_or_default();
-    if matches!(file, "" | "." | "..") || file.contains('\0') {
+    // A letter of a drive would lead out of the folder.
+    if matches!(file, "" | "." | "..") || file.contains('\0') || file.as_bytes().get(1) == Some(&b':') {
         return Err(format!("that is no file; name one, {CURE}"));
     }
     let path = folder.join(file);
