@@ -6,7 +6,7 @@ use common::glb::SceneBuilder;
 use common::program::{evenlight, expect, read_json};
 use evenlight::cache::{Cache, Key, Writing};
 use evenlight::observer::Progress;
-use evenlight::options::Density;
+use evenlight::options::{Audits, Density};
 use evenlight::scene::{Changes, LightChange, Scene};
 use evenlight::{Bake, BakeError, BakeOptions, NoObserver, Observer, bake, bake_with_cache};
 use serde_json::json;
@@ -289,6 +289,26 @@ fn groups_of_lights_go_on_each_by_itself() {
         groups.flat_map(|g| g.irradiance.iter().flatten().map(|v| v.to_bits())).collect()
     };
     assert!(stops > 0 && bits(&end).0 == bits(&whole).0 && layers(&end) == layers(&whole));
+}
+
+/// Charts whose hash is right and whose numbers are not, which only intent can make: taken or left, never a panic.
+#[test]
+fn charts_that_cannot_be_are_left() {
+    let scene = Scene::from_gltf(Path::new(env!("CARGO_MANIFEST_DIR")).join("fixtures/cube.glb")).expect("a scene");
+    let quick = BakeOptions { max_texture: 16, target_percent: 50.0, target_mesh_percent: None, ..options() };
+    let options = BakeOptions { max_photons: Some(1 << 10), audit: Audits::Off, ..quick };
+    let mut good = Memory::new();
+    cached(&scene, &options, &mut good);
+    let charts = good.files.iter().find(|(name, _)| name.starts_with("charts-")).expect("charts");
+    // Those that name the last corner of a quad, or count three.
+    for at in (0..charts.1.len()).filter(|&at| charts.1[at] == 3) {
+        let mut bytes = charts.1.clone();
+        bytes[at] = 0x2a;
+        let mut planted = Memory::new();
+        planted.files.insert(charts.0.clone(), bytes);
+        planted.most = 0;
+        let _ = bake_with_cache(&scene, &options, Some(&mut planted), &mut NoObserver);
+    }
 }
 
 #[test]

@@ -263,9 +263,7 @@ type KeptCharts = Vec<(Unwrapped, Vec<(String, String)>)>;
 /// Charts that were kept of these very meshes.
 fn kept_charts(slot: &mut Slot, meshes: &[JoinedMesh]) -> Option<Vec<(Unwrapped, Vec<Warning>)>> {
     let kept: KeptCharts = slot.load()?;
-    let fits = |(mesh, (charts, _)): (&JoinedMesh, &(Unwrapped, _))| {
-        charts.triangles.len() == mesh.triangles.len() && charts.charts.len() == mesh.triangles.len()
-    };
+    let fits = |(mesh, (charts, _)): (&JoinedMesh, &(Unwrapped, _))| charts.is_of(mesh);
     if kept.len() != meshes.len() || !meshes.iter().zip(&kept).all(fits) {
         return None;
     }

@@ -51,6 +51,19 @@ pub struct Unwrapped {
     pub chart_count: u32,
 }
 
+impl Unwrapped {
+    /// Whether it can be one of `mesh`: every reference is to something that is there, and all places are numbers.
+    pub(super) fn is_of(&self, mesh: &JoinedMesh) -> bool {
+        let n = mesh.triangles.len();
+        let there = |t: &[u32; 3]| t.iter().all(|&v| (v as usize) < self.vertices.len());
+        self.triangles.len() == n
+            && self.charts.len() == n
+            && self.chart_count as usize <= n
+            && self.charts.iter().zip(&self.triangles).all(|(&c, t)| c == NO_CHART || c < self.chart_count && there(t))
+            && self.vertices.iter().all(|v| (v.source as usize) < mesh.positions.len() && v.uv.is_finite())
+    }
+}
+
 /// Why a backend gave nothing.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 #[non_exhaustive]
