@@ -10,11 +10,14 @@ use crate::light::{Emitters, LightGroup, LightSettings, Lighting, MOST_IRRADIANC
 use crate::lightmap::{GridPoints, Lightmap, shown_error};
 use crate::observer::{Observer, Stage};
 use crate::options::{BakeOptions, Lights, UvSource};
-use crate::pilot::adapt_density;
+use crate::pilot::{Pilot, adapt_density};
 use crate::report::{Report, Seconds};
 use crate::scene::{Scene, SurfaceFlags, World};
 use crate::skips::Skips;
-use crate::solve::{LightSeconds, Solution, Surface, solve_groups};
+use crate::solve::{
+    LightSeconds, Parts, PlanOutlook, Shard, ShardWork, Shards, Solution, Surface, merge_groups, plan_groups,
+    shard_groups, solve_groups,
+};
 use glam::Vec3;
 use std::time::Instant;
 
@@ -61,115 +64,249 @@ pub fn bake_with_cache<'s>(
     cache: Option<&mut dyn Cache>,
     observer: &mut dyn Observer,
 ) -> Result<Bake<'s>, BakeError> {
+    in_pool(options, || {
+        let (mut prepared, keeping) = Prepared::new(scene, options, cache, observer)?;
+        let solution = prepared.with_parts(options, |parts| solve_groups(parts, keeping, observer))?;
+        prepared.finish(options, solution, observer)
+    })
+}
+
+/// Makes a plan of the bake of `scene` in `plan`: charts, texels, and for each group of lights what more its light takes.
+/// At most about `shards` may then do a part of that each.
+///
+/// # Errors
+/// As [`bake`].
+pub fn plan(
+    scene: &Scene,
+    options: &BakeOptions,
+    shards: u32,
+    plan: &mut dyn Cache,
+    observer: &mut dyn Observer,
+) -> Result<Vec<PlanOutlook>, BakeError> {
+    in_pool(options, || {
+        let (mut prepared, keeping) = Prepared::new(scene, options, Some(plan), observer)?;
+        prepared.with_parts(options, |parts| plan_groups(parts, shards, keeping, observer))
+    })
+}
+
+/// Does what is `shard`'s of a plan that [`plan()`] made of the same scene and options.
+///
+/// # Errors
+/// As [`bake`]; [`BakeError::Plan`] where the plan is of something else.
+pub fn bake_shard(
+    scene: &Scene,
+    options: &BakeOptions,
+    shard: Shard,
+    plan: &mut dyn Cache,
+    observer: &mut dyn Observer,
+) -> Result<Vec<ShardWork>, BakeError> {
+    in_pool(options, || {
+        let (mut prepared, keeping) = Prepared::new(scene, options, Some(plan), observer)?;
+        prepared.with_parts(options, |parts| shard_groups(parts, shard, keeping, observer))
+    })
+}
+
+/// Bakes by a plan from what its `shards` did: the same bytes, however many these are. Some may be missing.
+///
+/// # Errors
+/// As [`bake_shard`], and where a shard cannot be read.
+pub fn merge<'s>(
+    scene: &'s Scene,
+    options: &BakeOptions,
+    shards: &(dyn Shards + Sync),
+    plan: &mut dyn Cache,
+    observer: &mut dyn Observer,
+) -> Result<Bake<'s>, BakeError> {
+    in_pool(options, || {
+        let (mut prepared, keeping) = Prepared::new(scene, options, Some(plan), observer)?;
+        let solution = prepared.with_parts(options, |parts| merge_groups(parts, shards, keeping, observer))?;
+        prepared.finish(options, solution, observer)
+    })
+}
+
+fn in_pool<T: Send>(options: &BakeOptions, work: impl FnOnce() -> Result<T, BakeError> + Send) -> Result<T, BakeError> {
     options.validate()?;
     let pool = rayon::ThreadPoolBuilder::new()
         .num_threads(options.threads)
         .build()
         .map_err(|e| BakeError::Options(format!("cannot start {} threads: {e}", options.threads)))?;
-    pool.install(|| bake_here(scene, options, cache, observer))
+    pool.install(work)
 }
 
-fn bake_here<'s>(
+/// A scene with its texels in their places, and all that light needs.
+struct Prepared<'s> {
     scene: &'s Scene,
-    options: &BakeOptions,
-    cache: Option<&mut dyn Cache>,
-    observer: &mut dyn Observer,
-) -> Result<Bake<'s>, BakeError> {
-    let mut clock = Clock::new();
-    let mut seconds = Seconds::default();
-    let lighting = Lighting::new(scene, options)?;
-    let mut keeping = cache.map(|cache| Keeping { cache, digest: inputs(scene, &lighting, options) });
+    lighting: Lighting,
+    world: World<'s>,
+    /// Triangles that coincided with others.
+    parted: Vec<u32>,
+    accel: Accel,
+    emitters: Emitters,
+    pilot: Option<Pilot>,
+    atlas: Atlas,
+    charts_from_cache: bool,
+    surface: Surface,
+    clock: Clock,
+    seconds: Seconds,
+}
 
-    observer.stage(Stage::Unwrap);
-    let generates = options.uv == UvSource::Generate;
-    let mut unwrapping = if generates {
-        let cache = keeping.as_mut().map(|k| &mut *k.cache as &mut dyn Cache);
-        Some(Unwrapping::new(scene, options, cache, &|| observer.cancelled())?)
-    } else {
-        None
-    };
-    seconds.atlas = clock.lap();
+impl<'s> Prepared<'s> {
+    /// Everything up to the light, and where that may be kept.
+    fn new<'c>(
+        scene: &'s Scene,
+        options: &BakeOptions,
+        cache: Option<&'c mut dyn Cache>,
+        observer: &mut dyn Observer,
+    ) -> Result<(Prepared<'s>, Option<Keeping<'c>>), BakeError> {
+        let mut clock = Clock::new();
+        let mut seconds = Seconds::default();
+        let lighting = Lighting::new(scene, options)?;
+        let mut keeping = cache.map(|cache| Keeping { cache, digest: inputs(scene, &lighting, options) });
 
-    observer.stage(Stage::Prepare);
-    let mut world = World::new(scene);
-    let parted = part_coincident(&mut world);
-    let accel = Accel::build(&world.positions, |t| world.flags[t as usize].has(SurfaceFlags::UNSEEN));
-    seconds.accel = clock.lap();
-    let visibility = Visibility::new(&world, &accel);
-    let settings = LightSettings { indirect_only: options.lights == Lights::Indirect, group: None };
-    let emitters = Emitters::new(&world, &lighting, settings);
-    let mut pilot = None;
-    if let Some(unwrapping) = unwrapping.as_mut().filter(|_| options.adapts_density()) {
-        observer.stage(Stage::Pilot);
-        pilot =
-            Some(adapt_density(unwrapping, &visibility, &emitters, options, clock.began, keeping.as_mut(), observer)?);
-        seconds.pilot = clock.lap();
+        observer.stage(Stage::Unwrap);
+        let generates = options.uv == UvSource::Generate;
+        let mut unwrapping = if generates {
+            let cache = keeping.as_mut().map(|k| &mut *k.cache as &mut dyn Cache);
+            Some(Unwrapping::new(scene, options, cache, &|| observer.cancelled())?)
+        } else {
+            None
+        };
+        seconds.atlas = clock.lap();
+
+        observer.stage(Stage::Prepare);
+        let mut world = World::new(scene);
+        let parted = part_coincident(&mut world);
+        let accel = Accel::build(&world.positions, |t| world.flags[t as usize].has(SurfaceFlags::UNSEEN));
+        seconds.accel = clock.lap();
+        let visibility = Visibility::new(&world, &accel);
+        let emitters = Emitters::new(&world, &lighting, light_settings(options, None));
+        let mut pilot = None;
+        if let Some(unwrapping) = unwrapping.as_mut().filter(|_| options.adapts_density()) {
+            observer.stage(Stage::Pilot);
+            pilot = Some(adapt_density(
+                unwrapping,
+                &visibility,
+                &emitters,
+                options,
+                clock.began,
+                keeping.as_mut(),
+                observer,
+            )?);
+            seconds.pilot = clock.lap();
+        }
+        let density = pilot.map_or(options.density, |p| p.density);
+        let atlas = match &unwrapping {
+            Some(unwrapping) => unwrapping.place(&world, density, options, &|| observer.cancelled())?,
+            None => atlas::build(scene, options, &|| observer.cancelled())?,
+        };
+        let charts_from_cache = unwrapping.is_some_and(|u| u.from_cache);
+        keeping.iter_mut().for_each(|keeping| atlas.feed(&mut keeping.digest));
+        atlas::check_memory(&world, &atlas, options)?;
+        seconds.atlas += clock.lap();
+        let go_on = |observer: &dyn Observer| if observer.cancelled() { Err(BakeError::Cancelled) } else { Ok(()) };
+        let texels = Texels::new(&world, &atlas);
+        seconds.texels = clock.lap();
+        go_on(observer)?;
+        let surface = Surface::new(texels, &atlas, &visibility, options);
+        seconds.open = clock.lap();
+        go_on(observer)?;
+        let prepared = Prepared {
+            scene,
+            lighting,
+            world,
+            parted,
+            accel,
+            emitters,
+            pilot,
+            atlas,
+            charts_from_cache,
+            surface,
+            clock,
+            seconds,
+        };
+        Ok((prepared, keeping))
     }
-    let density = pilot.map_or(options.density, |p| p.density);
-    let atlas = match &unwrapping {
-        Some(unwrapping) => unwrapping.place(&world, density, options, &|| observer.cancelled())?,
-        None => atlas::build(scene, options, &|| observer.cancelled())?,
-    };
-    let charts_from_cache = unwrapping.is_some_and(|u| u.from_cache);
-    keeping.iter_mut().for_each(|keeping| atlas.feed(&mut keeping.digest));
-    atlas::check_memory(&world, &atlas, options)?;
-    seconds.atlas += clock.lap();
-    let go_on = |observer: &dyn Observer| if observer.cancelled() { Err(BakeError::Cancelled) } else { Ok(()) };
-    let texels = Texels::new(&world, &atlas);
-    seconds.texels = clock.lap();
-    go_on(observer)?;
-    let surface = Surface::new(texels, &atlas, &visibility, options);
-    seconds.open = clock.lap();
-    go_on(observer)?;
 
-    observer.stage(Stage::Light);
-    let path = surface.path(&emitters, &visibility);
-    let weights = TexelWeights::of_values(&world, &surface.texels, &surface.open, options.texel_value);
-    let apart = |group: &LightGroup| Emitters::new(&world, &lighting, LightSettings { group: Some(group), ..settings });
-    let solution = solve_groups(path, &lighting.groups, &apart, weights, options, clock.began, keeping, observer)?;
-    LightSeconds {
-        direct: seconds.direct,
-        photons: seconds.photons,
-        gather: seconds.gather,
-        estimate: seconds.estimate,
-        audit: seconds.audit,
-    } = solution.seconds;
-    seconds.rounds.clone_from(&solution.rounds);
-    check_irradiance(scene, &solution)?;
-    clock.lap();
+    /// Does `work` on the light in its parts.
+    fn with_parts<T>(
+        &mut self,
+        options: &BakeOptions,
+        work: impl FnOnce(Parts) -> Result<T, BakeError>,
+    ) -> Result<T, BakeError> {
+        let Prepared { lighting, world, accel, emitters, surface, clock, .. } = self;
+        let visibility = Visibility::new(world, accel);
+        let apart = |group: &LightGroup| Emitters::new(world, lighting, light_settings(options, Some(group)));
+        let done = work(Parts {
+            path: surface.path(emitters, &visibility),
+            groups: &lighting.groups,
+            emitters: &apart,
+            weights: TexelWeights::of_values(world, &surface.texels, &surface.open, options.texel_value),
+            options,
+            began: clock.began,
+        });
+        clock.lap();
+        done
+    }
 
-    observer.stage(Stage::Finish);
-    let lightmap = Lightmap::new(&world, &atlas, &surface.texels, &surface.shown, &solution, options);
-    let points = GridPoints::new(&path, &solution, options);
-    let late = solution.limit == Some("time-limit");
-    let samples = if late { 0 } else { (GRID_SHARE * solution.direct_samples as f64) as u64 };
-    let on_screen = shown_error(&points, &lightmap.pages, &solution.error, samples);
-    let Surface { texels, open, probe_rays, .. } = surface;
-    let mut report = Report::new(&world, &atlas, &texels, &open, &solution, &lighting, options);
-    report.set_shown(&on_screen);
-    let light = [&solution.total, &solution.unsmoothed];
-    add_illuminances(&world, &texels, light, &solution.weights, &mut report.meshes);
-    let skips = Skips {
-        visibility: &visibility,
-        lighting: &lighting,
-        atlas: &atlas,
-        texels: &texels,
-        open: &open,
-        pilot,
-        charts_from_cache,
-        kept_rays: solution.kept_rays,
-    };
-    report.skips.extend(skips.lines());
-    let backs = LitBacks::new(&visibility, &emitters, &solution, options.seed);
-    report.warnings.extend(backs.warnings(scene));
-    report.warnings.extend(coincident_warning(&world, &parted));
-    report.set_emitters(&emitters);
-    report.work.probe_rays = probe_rays;
-    seconds.finish = clock.lap();
-    seconds.total = clock.began.elapsed().as_secs_f64();
-    report.seconds = seconds;
-    report.warnings.iter().for_each(|w| observer.warn(w));
-    Ok(Bake { atlas, lightmap, report, lighting, world, accel, texels, solution, backs })
+    /// Maps and report of the light that was found.
+    fn finish(
+        self,
+        options: &BakeOptions,
+        solution: Solution,
+        observer: &mut dyn Observer,
+    ) -> Result<Bake<'s>, BakeError> {
+        check_irradiance(self.scene, &solution)?;
+        let Prepared { scene, lighting, world, parted, accel, emitters, pilot, atlas, charts_from_cache, .. } = self;
+        let Prepared { surface, mut clock, mut seconds, .. } = self;
+        let visibility = Visibility::new(&world, &accel);
+        let path = surface.path(&emitters, &visibility);
+        LightSeconds {
+            direct: seconds.direct,
+            photons: seconds.photons,
+            gather: seconds.gather,
+            estimate: seconds.estimate,
+            audit: seconds.audit,
+        } = solution.seconds;
+        seconds.rounds.clone_from(&solution.rounds);
+
+        observer.stage(Stage::Finish);
+        let lightmap = Lightmap::new(&world, &atlas, &surface.texels, &surface.shown, &solution, options);
+        let points = GridPoints::new(&path, &solution, options);
+        let late = solution.limit == Some("time-limit");
+        let samples = if late { 0 } else { (GRID_SHARE * solution.direct_samples as f64) as u64 };
+        let on_screen = shown_error(&points, &lightmap.pages, &solution.error, samples);
+        let Surface { texels, open, probe_rays, .. } = surface;
+        let mut report = Report::new(&world, &atlas, &texels, &open, &solution, &lighting, options);
+        report.set_shown(&on_screen);
+        let light = [&solution.total, &solution.unsmoothed];
+        add_illuminances(&world, &texels, light, &solution.weights, &mut report.meshes);
+        let skips = Skips {
+            visibility: &visibility,
+            lighting: &lighting,
+            atlas: &atlas,
+            texels: &texels,
+            open: &open,
+            pilot,
+            charts_from_cache,
+            kept_rays: solution.kept_rays,
+        };
+        report.skips.extend(skips.lines());
+        let backs = LitBacks::new(&visibility, &emitters, &solution, options.seed);
+        report.warnings.extend(backs.warnings(scene));
+        report.warnings.extend(coincident_warning(&world, &parted));
+        report.set_emitters(&emitters);
+        report.work.probe_rays = probe_rays;
+        seconds.finish = clock.lap();
+        seconds.total = clock.began.elapsed().as_secs_f64();
+        report.seconds = seconds;
+        report.warnings.iter().for_each(|w| observer.warn(w));
+        Ok(Bake { atlas, lightmap, report, lighting, world, accel, texels, solution, backs })
+    }
+}
+
+/// What shines: all lights, or those of a group.
+fn light_settings<'g>(options: &BakeOptions, group: Option<&'g LightGroup>) -> LightSettings<'g> {
+    LightSettings { indirect_only: options.lights == Lights::Indirect, group }
 }
 
 /// Refuses texels that no error can be stated of, such as those beside a lamp of a quintillion candela.

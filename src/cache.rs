@@ -15,7 +15,7 @@ const VERSION: u32 = 2;
 /// The name of something that is kept.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Key {
-    /// What it is: `charts`, `density` or `light`.
+    /// What it is: `charts`, `density`, `light` or `plan`.
     pub kind: &'static str,
     /// Hash (BLAKE3) of all that it depends on.
     pub hash: [u8; 32],
@@ -88,6 +88,11 @@ pub trait Cache: Send + Sync {
 
     /// Whether unfinished work should be kept now. Asked often.
     fn is_due(&self) -> bool;
+
+    /// Whether it is of one bake on several machines, which have to find the same whatever chance had a part in.
+    fn is_plan(&self) -> bool {
+        false
+    }
 }
 
 /// A cache, and what all that a bake keeps there depends on.
@@ -133,21 +138,27 @@ const LONGEST_STRING: usize = 1 << 16;
 impl Slot<'_> {
     /// What it holds; `None` where that is nothing, or something else.
     pub fn load<T: DeserializeOwned>(&mut self) -> Option<T> {
-        let from = self.cache.load(&self.key)?;
-        let mut scratch = vec![0; LONGEST_STRING];
-        let (value, _) = postcard::from_io((from, &mut scratch)).ok()?;
-        Some(value)
+        read_value(&mut *self.cache.load(&self.key)?)
     }
 
     /// Keeps `value`.
     pub fn keep<T: Serialize>(&mut self, value: &T) {
-        let writing = |to: &mut dyn Write| {
-            let mut to = Telling { to, fault: None };
-            let written = postcard::to_io(value, &mut to).map(|_| ());
-            written.map_err(|e| to.fault.take().unwrap_or_else(|| io::Error::other(e)))
-        };
-        self.cache.keep(&self.key, &writing);
+        self.cache.keep(&self.key, &|to| write_value(to, value));
     }
+}
+
+/// Writes `value`, one after another where there are several.
+pub(crate) fn write_value<T: Serialize>(to: &mut dyn Write, value: &T) -> io::Result<()> {
+    let mut to = Telling { to, fault: None };
+    let written = postcard::to_io(value, &mut to).map(|_| ());
+    written.map_err(|e| to.fault.take().unwrap_or_else(|| io::Error::other(e)))
+}
+
+/// The next value of what [`write_value`] wrote; `None` where that is something else.
+pub(crate) fn read_value<T: DeserializeOwned>(from: &mut dyn Read) -> Option<T> {
+    let mut scratch = vec![0; LONGEST_STRING];
+    let (value, _) = postcard::from_io((from, &mut scratch)).ok()?;
+    Some(value)
 }
 
 /// Remembers why nothing could be written: who serialises says only that it was so.

@@ -62,6 +62,9 @@ pub enum BakeError {
         /// How to get under it.
         cure: String,
     },
+    /// A plan or a shard cannot be used.
+    #[error("{0}")]
+    Plan(String),
     /// The observer asked to stop.
     #[error("cancelled")]
     Cancelled,

@@ -3,10 +3,11 @@
 use crate::cache::Digest;
 use crate::error::BakeError;
 use glam::{DVec3, Vec3};
+use serde::{Deserialize, Serialize};
 use std::path::PathBuf;
 
 /// Everything a bake can be asked for. Fields map one to one to the flags of the command line.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct BakeOptions {
     /// Upper 95 % limit of the texel error at which the bake ends. Unit: percent of the mean. Default: 2.
     pub target_percent: f64,
@@ -106,7 +107,7 @@ impl Default for BakeOptions {
 }
 
 /// Texel density.
-#[derive(Debug, Clone, Copy, PartialEq, serde::Serialize, serde::Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub enum Density {
     /// Where light needs them, as a pilot finds: on one page of `max_texture` squared, or less where that makes little
     /// difference.
@@ -118,7 +119,7 @@ pub enum Density {
 }
 
 /// Where the lightmap UVs come from.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 pub enum UvSource {
     /// Cut, flattened and packed here.
     Generate,
@@ -127,7 +128,7 @@ pub enum UvSource {
 }
 
 /// What cuts and flattens meshes.
-#[derive(Debug, Clone, PartialEq, Eq)]
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub enum Unwrapper {
     /// The crate uvunwrap, in this process.
     Uvunwrap,
@@ -138,8 +139,18 @@ pub enum Unwrapper {
     },
 }
 
+impl Unwrapper {
+    /// Its name, wherever its program lies.
+    pub fn name(&self) -> &'static str {
+        match self {
+            Unwrapper::Uvunwrap => "uvunwrap",
+            Unwrapper::Xatlas { .. } => "xatlas",
+        }
+    }
+}
+
 /// Light from beyond the geometry.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub enum SkySource {
     /// The same radiance from everywhere. Unit: nit per channel.
     Constant(Vec3),
@@ -155,7 +166,7 @@ pub enum SkySource {
 }
 
 /// A sun given on the command line.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct Sun {
     /// Height above the horizon. Unit: degrees.
     pub elevation: f32,
@@ -177,7 +188,7 @@ impl Sun {
 }
 
 /// Which part of the light is baked.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 pub enum Lights {
     /// Direct and reflected light.
     All,
@@ -186,7 +197,7 @@ pub enum Lights {
 }
 
 /// Which normals receive light.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 pub enum Normals {
     /// The interpolated normals of the file.
     Smooth,
@@ -195,7 +206,7 @@ pub enum Normals {
 }
 
 /// Which side of a double-sided surface is stored.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 pub enum DoubleSided {
     /// Per chart, the side that receives more; the front of what is drawn from there alone.
     Auto,
@@ -206,7 +217,7 @@ pub enum DoubleSided {
 }
 
 /// What a stored texel is.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 pub enum TexelValue {
     /// The mean over the part of the texel's footprint that is not buried in solids.
     Open,
@@ -215,7 +226,7 @@ pub enum TexelValue {
 }
 
 /// What indirect light and that of the sky are smoothed over.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 pub enum Smoothing {
     /// Cells of many texels, as large as the noise asks for; what that blurs is part of the stated error.
     Cells,
@@ -226,7 +237,7 @@ pub enum Smoothing {
 }
 
 /// What the maps hold.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, serde::Serialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Quantity {
     /// E / pi: the luminance of a white diffuse surface. Unit: nit.
@@ -236,7 +247,7 @@ pub enum Quantity {
 }
 
 /// How much of the map is audited.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 pub enum Audits {
     /// Random texels for about 3 % of the bake's rays, or two million where that is more.
     Auto,
@@ -262,6 +273,7 @@ impl BakeOptions {
     /// it is checked, or what is written of it.
     pub(crate) fn feed(&self, digest: &mut Digest) {
         let apart = BakeOptions::default();
+        digest.debug(&self.unwrapper.name());
         digest.debug(&BakeOptions {
             target_percent: apart.target_percent,
             target_mesh_percent: None,
@@ -271,6 +283,7 @@ impl BakeOptions {
             audit: apart.audit,
             threads: 0,
             sky: None,
+            unwrapper: apart.unwrapper,
             ..self.clone()
         });
     }

@@ -11,7 +11,7 @@ use crate::light::{Emitters, Visibility};
 use crate::lightmap::{GridPoints, Lightmap, coarser};
 use crate::observer::Observer;
 use crate::options::{Audits, BakeOptions, Density, MAX_PAGES, Smoothing};
-use crate::solve::{Surface, solve};
+use crate::solve::{Part, Surface, solve};
 use std::time::Instant;
 
 /// Texels are so many times as wide as those that the page would hold, first all the same, then as found so far: what is
@@ -145,7 +145,8 @@ fn falls(
     let surface = Surface::new(Texels::new(world, atlas), atlas, visibility, options);
     let path = surface.path(emitters, visibility);
     let weights = TexelWeights::of_values(world, &surface.texels, &surface.open, options.texel_value);
-    let solution = solve(path, weights, options, Instant::now(), None, &mut Muted(observer))?;
+    let part = Part { path, weights, options, began: Instant::now(), slot: None };
+    let solution = solve(part, &mut Muted(observer))?;
     if solution.error.mean <= 0.0 {
         return Ok(None);
     }

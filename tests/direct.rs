@@ -7,7 +7,7 @@ use common::stage::Stage;
 use common::statistics::{expect_mean, mean_and_error};
 use evenlight::BakeOptions;
 use evenlight::light::{Direct, Visibility};
-use evenlight::photon::{Bins, Flux, PhotonKind, Shooting, StartTable};
+use evenlight::photon::{Bins, Flux, NetPart, PhotonKind, Shooting, StartTable};
 use evenlight::scene::Scene;
 use glam::{DVec3, Vec3};
 
@@ -119,7 +119,7 @@ fn lit_corner(texels: u32) -> Scene {
 /// wall gets more; where it stays at the first points, the scatter between seeds does not pass.
 #[test]
 fn photons_leave_a_texel_from_where_its_light_is() {
-    let caught = |texels: u32, samples: u32| -> Vec<[f64; 2]> {
+    let caught = |texels: u32, samples: u32, part: NetPart, used: bool| -> Vec<[f64; 2]> {
         let scene = lit_corner(texels);
         let stage = Stage::new(&scene, PAGE);
         let visibility = Visibility::new(&stage.world, &stage.accel);
@@ -141,25 +141,30 @@ fn photons_leave_a_texel_from_where_its_light_is() {
                 kind: PhotonKind::Diffuse,
                 seed,
                 flux,
+                used,
                 starts: &starts,
                 direct: &direct,
                 light,
                 crevice: 0.0,
             };
             let bins = Bins::new(&stage.world, &stage.texels, &open);
-            shooting.net(0, 0, 15, &bins);
-            walls.map(|wall| bins.flux(0, wall)[0] as f64 * flux.unit / 32768.0)
+            shooting.net(0, part, &bins);
+            walls.map(|wall| bins.flux(0, wall)[0] as f64 * flux.unit / f64::from(1u32 << part.bits))
         };
         (0..64).map(shoot).collect()
     };
-    let (one, many) = (caught(1, 1 << 14), caught(16, 64));
-    for (wall, (name, visible)) in [("near", 0.08), ("far", 0.15)].into_iter().enumerate() {
-        let of = |runs: &[[f64; 2]]| -> Vec<f64> { runs.iter().map(|r| r[wall]).collect() };
-        let ((mean, _), (truth, _)) = (mean_and_error(&of(&one)), mean_and_error(&of(&many)));
-        println!("{name}: {mean} for {truth}");
-        // The truth scatters as well: pairs of independent runs.
-        let pairs: Vec<f64> = of(&one).iter().zip(of(&many)).map(|(a, b)| a - b + truth).collect();
-        expect_mean(name, &pairs, truth, visible, 2);
+    let whole = NetPart::whole(0, 15);
+    let many = caught(16, 64, whole, false);
+    let part = NetPart { net: 0, part: 5, part_bits: 3, bits: 15 };
+    for (what, one) in [("a net", caught(1, 1 << 14, whole, false)), ("a part", caught(1, 1 << 14, part, true))] {
+        for (wall, (name, visible)) in [("near", 0.08), ("far", 0.15)].into_iter().enumerate() {
+            let of = |runs: &[[f64; 2]]| -> Vec<f64> { runs.iter().map(|r| r[wall]).collect() };
+            let ((mean, _), (truth, _)) = (mean_and_error(&of(&one)), mean_and_error(&of(&many)));
+            println!("{what}, {name}: {mean} for {truth}");
+            // The truth scatters as well: pairs of independent runs.
+            let pairs: Vec<f64> = of(&one).iter().zip(of(&many)).map(|(a, b)| a - b + truth).collect();
+            expect_mean(&format!("{what}, {name}"), &pairs, truth, visible, 4);
+        }
     }
 }
 

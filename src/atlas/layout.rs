@@ -253,7 +253,7 @@ fn joined_meshes(scene: &Scene, shared: &[Shared], units: &[Unit], options: &Bak
 fn key_of(meshes: &[JoinedMesh], options: &BakeOptions) -> Key {
     let mut digest = Digest::default();
     meshes.iter().for_each(|mesh| mesh.feed(&mut digest));
-    digest.debug(&options.unwrapper);
+    digest.debug(&options.unwrapper.name());
     digest.key("charts")
 }
 
@@ -273,7 +273,7 @@ fn kept_charts(slot: &mut Slot, meshes: &[JoinedMesh]) -> Option<Vec<(Unwrapped,
 
 /// Keeps charts, unless more than their meshes had a part in them: others may come out the next time.
 fn keep_charts(slot: &mut Slot, charts: &[(Unwrapped, Vec<Warning>)]) {
-    if charts.iter().flat_map(|c| &c.1).any(|w| code_of_mesh(w.code).is_none()) {
+    if !slot.cache.is_plan() && charts.iter().flat_map(|c| &c.1).any(|w| code_of_mesh(w.code).is_none()) {
         return;
     }
     let of = |w: &Warning| (w.code.to_string(), w.message.clone());

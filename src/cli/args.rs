@@ -8,6 +8,7 @@ use evenlight::options::{
 };
 use evenlight::output::lightmap_exr::Layer;
 use evenlight::scene::{BakeMode, Changes, LightChange};
+use evenlight::solve::Shard;
 use glam::Vec3;
 use std::path::PathBuf;
 
@@ -37,10 +38,11 @@ pub enum Command {
     },
     /// (not built yet) Check the lightmap UVs of a scene.
     Check { scene: PathBuf },
-    /// (not built yet) Freeze atlas, cells and budget of a bake.
-    Plan { scene: PathBuf },
-    /// (not built yet) Merge the shards of a bake.
-    Merge { shards: Vec<PathBuf> },
+    /// Plan a bake for several machines: look at the light until it is known what more it takes, and write texels and
+    /// work down in the folder --out. Takes what `bake` does.
+    Plan(PlanArgs),
+    /// Bake from what the shards of a plan did: `bake --plan P --shard 1/8 -o FILE`, and so on.
+    Merge(MergeArgs),
     /// (not built yet) Look at a finished bake.
     View { folder: PathBuf },
     /// (not built yet) Check this build on this machine.
@@ -50,12 +52,60 @@ pub enum Command {
     UnwrapWorker,
 }
 
+/// Most shards of a plan.
+const MOST_SHARDS: u32 = 1_000_000;
+
+#[derive(Debug, Args)]
+pub struct PlanArgs {
+    /// At most about so many shards there will be: photons are shot in as many nets at least, if there are enough.
+    #[arg(long, default_value_t = 64, value_parser = clap::value_parser!(u32).range(1..=i64::from(MOST_SHARDS)))]
+    pub shards: u32,
+    #[command(flatten)]
+    pub bake: BakeArgs,
+}
+
+#[derive(Debug, Args)]
+pub struct MergeArgs {
+    /// Files of the shards, one of each at most. Without some, the light is as unbiased as with all, and less accurate.
+    #[arg(required = true)]
+    pub shards: Vec<PathBuf>,
+    /// The folder of the plan.
+    #[arg(long)]
+    pub plan: PathBuf,
+    /// Folder for the results; made if absent.
+    #[arg(short, long)]
+    pub out: PathBuf,
+    /// Where the scene is, if not where it was planned.
+    #[arg(long)]
+    pub scene: Option<PathBuf>,
+    /// Worker threads; 0: one per core. The result is the same.
+    #[arg(long, default_value_t = 0)]
+    pub threads: usize,
+    #[command(flatten)]
+    pub files: FileArgs,
+}
+
+/// Which files are written besides maps, scene, manifest and report.
+#[derive(Debug, Clone, Copy, Args)]
+pub struct FileArgs {
+    /// Print the report to stdout as JSON.
+    #[arg(long, help_heading = "Run")]
+    pub json: bool,
+    /// Write no preview pictures.
+    #[arg(long, help_heading = "Run")]
+    pub no_preview: bool,
+    /// Write no report.html.
+    #[arg(long, help_heading = "Run")]
+    pub no_html: bool,
+}
+
 #[derive(Debug, Args)]
 pub struct BakeArgs {
     /// A .glb or .gltf file.
-    #[arg(required = true)]
+    #[arg(required_unless_present = "plan")]
     pub scene: Vec<PathBuf>,
-    /// Folder for the results; made if absent.
+    /// Folder for the results; made if absent. With --shard, the file for what the shard did; of `plan`, the folder of the
+    /// plan.
     #[arg(short, long)]
     pub out: PathBuf,
     /// The variant of the file's materials to bake (KHR_materials_variants) [default: the file's own materials].
@@ -81,7 +131,7 @@ pub struct BakeArgs {
     /// End after this many seconds with what is there (exit status 3). Half of them are for the lightmap UVs; what is
     /// not unwrapped by then is flattened plane by plane, in more charts, and a warning says so.
     #[arg(long, value_name = "SECONDS", help_heading = "Targets and limits")]
-    time_limit: Option<f64>,
+    pub time_limit: Option<f64>,
     /// End after this many photons with what is there (exit status 3).
     #[arg(long, help_heading = "Targets and limits")]
     max_photons: Option<f64>,
@@ -180,7 +230,7 @@ pub struct BakeArgs {
     seed: u64,
     /// Worker threads; 0: one per core. The result is the same.
     #[arg(long, default_value_t = 0, help_heading = "Run")]
-    threads: usize,
+    pub threads: usize,
     /// Keep charts and light in this folder, and use what is there: a bake that was stopped or killed goes on where it was
     /// (work is kept every two minutes), and one with a lower target from what the last one found, its texels where they
     /// were.
@@ -192,21 +242,14 @@ pub struct BakeArgs {
     /// The same as --cache with the folder `.cache` among the results: give it from the first run on.
     #[arg(long, conflicts_with = "cache", help_heading = "Run")]
     resume: bool,
-    /// (not built yet) Bake along a plan.
-    #[arg(long, help_heading = "Run")]
-    plan: Option<PathBuf>,
-    /// (not built yet) Bake one shard I/N of a plan.
-    #[arg(long, help_heading = "Run")]
+    /// Bake as this plan says: scene, targets and all else are its own.
+    #[arg(long, value_name = "DIR", help_heading = "Run")]
+    pub plan: Option<PathBuf>,
+    /// Do one part of the work of --plan, number I of N from 1, for `merge`.
+    #[arg(long, value_name = "I/N", requires = "plan", help_heading = "Run")]
     shard: Option<String>,
-    /// Print the report to stdout as JSON.
-    #[arg(long, help_heading = "Run")]
-    pub json: bool,
-    /// Write no preview pictures.
-    #[arg(long, help_heading = "Run")]
-    pub no_preview: bool,
-    /// Write no report.html.
-    #[arg(long, help_heading = "Run")]
-    pub no_html: bool,
+    #[command(flatten)]
+    pub files: FileArgs,
 }
 
 impl BakeArgs {
@@ -289,6 +332,21 @@ impl BakeArgs {
         self.layers.iter().map(|l| l.parse()).collect()
     }
 
+    /// Which part of a plan is to be done; `None` for all of it.
+    ///
+    /// # Errors
+    /// [`BakeError::Options`] says what the flag takes.
+    pub fn shard(&self) -> Result<Option<Shard>, BakeError> {
+        let Some(text) = &self.shard else { return Ok(None) };
+        let parts = text.split_once('/').and_then(|(i, n)| Some((i.parse().ok()?, n.parse().ok()?)));
+        match parts {
+            Some((number, count)) if (1..=count).contains(&number) && count <= MOST_SHARDS => {
+                Ok(Some(Shard { number, count }))
+            }
+            _ => Err(BakeError::Options(format!("--shard {text}: takes I/N, from 1/N to N/N, such as 3/8"))),
+        }
+    }
+
     /// True where lights whose direct light is baked leave scene.glb.
     pub fn removes_baked_lights(&self) -> bool {
         self.remove_baked_lights
@@ -296,12 +354,7 @@ impl BakeArgs {
 
     /// A flag that would do nothing is an error, never ignored.
     fn refuse_what_is_not_built(&self) -> Result<(), BakeError> {
-        let asked = [
-            (self.texel_value == "fit", "--texel-value fit"),
-            (self.plan.is_some(), "--plan"),
-            (self.shard.is_some(), "--shard"),
-            (self.scene.len() > 1, "more than one scene"),
-        ];
+        let asked = [(self.texel_value == "fit", "--texel-value fit"), (self.scene.len() > 1, "more than one scene")];
         match asked.iter().find(|a| a.0) {
             Some((_, flag)) => Err(BakeError::Options(format!("{flag} is not built yet; leave it out"))),
             None => Ok(()),

@@ -1,6 +1,6 @@
 //! `evenlight bake`: a scene in, a folder of results out.
 
-use super::args::BakeArgs;
+use super::args::{BakeArgs, FileArgs};
 use super::config::Config;
 use super::terminal::Terminal;
 use evenlight::backs::LIT_FROM_BEHIND;
@@ -8,12 +8,13 @@ use evenlight::output::cache_folder::CacheFolder;
 use evenlight::output::glb::{self, GlbOptions};
 use evenlight::output::lightmap_exr::{self, ExrSettings};
 use evenlight::output::manifest::{Manifest, ManifestInputs};
+use evenlight::output::plan_folder::PlanInputs;
 use evenlight::output::words::{audit, group, seconds};
 use evenlight::output::{Staging, preview, report_html, write_atomically};
 use evenlight::report::Report;
 use evenlight::scene::gltf::LoadOptions;
 use evenlight::scene::{Camera, Projection, Scene};
-use evenlight::{Bake, BakeError, BakeOptions, Cache, Observer, bake_with_cache};
+use evenlight::{Bake, BakeError, Cache, Observer, bake_with_cache};
 use std::path::{Path, PathBuf};
 
 /// Pixels of the longer side of a view.
@@ -24,23 +25,17 @@ const MOST_VIEWS: usize = 4;
 
 /// Bakes and writes; the exit status.
 pub fn run(args: &BakeArgs, config: Config) -> Result<u8, BakeError> {
-    let located = |error| config.locate(error);
-    let options = args.options().map_err(located)?;
-    let layers = args.layers().map_err(located)?;
-    let more = args.changes().map_err(located)?;
-    let cached = args.cache().map_err(located)?;
-    let mut changes = config.changes;
-    changes.lights.extend(more.lights);
-    let mut scene = Scene::from_gltf_with(&args.scene[0], &LoadOptions { variant: args.variant.clone() })?;
-    scene.change(&changes)?;
+    let cached = args.cache().map_err(|error| config.locate(error))?;
+    let inputs = inputs(args, config)?;
+    let scene = load(&inputs)?;
     // Made before the work, so that a folder which cannot be written is known now. Nothing appears in it
     // until all files are complete.
-    let mut staging = Staging::new(&args.out)?;
+    let staging = Staging::new(&args.out)?;
 
     let mut terminal = Terminal::new();
     let mut cache = cached.as_ref().map(|(folder, most)| CacheFolder::open(folder, *most)).transpose()?;
     let lent = cache.as_mut().map(|cache| cache as &mut dyn Cache);
-    let result = bake_with_cache(&scene, &options, lent, &mut terminal);
+    let result = bake_with_cache(&scene, &inputs.options, lent, &mut terminal);
     terminal.finish();
     if let Some(cache) = &mut cache {
         cache.trim();
@@ -51,33 +46,69 @@ pub fn run(args: &BakeArgs, config: Config) -> Result<u8, BakeError> {
     }
     let mut bake = result?;
     bake.report.warnings.extend(cache.into_iter().flat_map(|cache| cache.warnings));
-    bake.report.peak_memory_bytes = peak_memory();
+    write(staging, &args.out, &scene, bake, &inputs, args.files)
+}
 
-    let exr = ExrSettings {
-        quantity: options.quantity,
+/// What is to be baked, and how.
+pub fn inputs(args: &BakeArgs, config: Config) -> Result<PlanInputs, BakeError> {
+    let located = |error| config.locate(error);
+    let (options, layers) = (args.options().map_err(located)?, args.layers().map_err(located)?);
+    let more = args.changes().map_err(located)?;
+    let mut changes = config.changes;
+    changes.lights.extend(more.lights);
+    Ok(PlanInputs {
+        scene: args.scene.first().cloned().unwrap_or_default(),
+        variant: args.variant.clone(),
+        changes,
+        options,
         float: args.float,
         layers,
+        remove_baked_lights: args.removes_baked_lights(),
+    })
+}
+
+/// The scene with its changes.
+pub fn load(inputs: &PlanInputs) -> Result<Scene, BakeError> {
+    let mut scene = Scene::from_gltf_with(&inputs.scene, &LoadOptions { variant: inputs.variant.clone() })?;
+    scene.change(&inputs.changes)?;
+    Ok(scene)
+}
+
+/// Writes all files of a bake to the folder `out`; the exit status.
+pub fn write(
+    mut staging: Staging,
+    out: &Path,
+    scene: &Scene,
+    mut bake: Bake,
+    inputs: &PlanInputs,
+    files: FileArgs,
+) -> Result<u8, BakeError> {
+    bake.report.peak_memory_bytes = peak_memory();
+    let exr = ExrSettings {
+        quantity: inputs.options.quantity,
+        float: inputs.float,
+        layers: inputs.layers.clone(),
         scene: scene.name.clone(),
-        seed: options.seed,
+        seed: inputs.options.seed,
         texel_error_percent: Some(bake.report.texel_error_percent),
     };
     write_maps(&mut staging, &bake, &exr)?;
-    write_scene(&mut staging, &scene, &mut bake, &options, args)?;
-    if !args.no_preview {
-        write_previews(&mut staging, &scene, &mut bake)?;
+    write_scene(&mut staging, scene, &mut bake, inputs)?;
+    if !files.no_preview {
+        write_previews(&mut staging, scene, &mut bake)?;
     }
-    if !args.no_html {
+    if !files.no_html {
         report_html::write(&staging.file("report.html")?, &bake)?;
     }
     let report = to_json(&staging.file(REPORT)?, &bake.report)?;
     // What an earlier bake left beside would contradict this one: a second page, views from other cameras.
-    let earlier = is_report(&args.out.join(REPORT));
+    let earlier = is_report(&out.join(REPORT));
     staging.publish(|name| earlier && is_output(name))?;
-    if args.json {
+    if files.json {
         super::print(&report)?;
     }
     bake.report.changed.iter().for_each(|what| eprintln!("changed: {what}"));
-    eprintln!("{}", summary(&bake.report, &args.out));
+    eprintln!("{}", summary(&bake.report, out));
     Ok(if bake.report.target_met { 0 } else { super::TARGET_MISSED })
 }
 
@@ -121,11 +152,10 @@ fn write_scene(
     staging: &mut Staging,
     scene: &Scene,
     bake: &mut Bake,
-    options: &BakeOptions,
-    args: &BakeArgs,
+    PlanInputs { options, variant, remove_baked_lights, .. }: &PlanInputs,
 ) -> Result<(), BakeError> {
-    let lights = if args.removes_baked_lights() { glb::fully_baked_lights(scene, options.lights) } else { Vec::new() };
-    let remove_baked_sky = args.removes_baked_lights() && bake.lighting.sky_of_scene;
+    let lights = if *remove_baked_lights { glb::fully_baked_lights(scene, options.lights) } else { Vec::new() };
+    let remove_baked_sky = *remove_baked_lights && bake.lighting.sky_of_scene;
     let glb = GlbOptions { remove_baked_lights: lights, remove_baked_sky };
     let info = glb::write(&staging.file("scene.glb")?, &scene.source, scene, &bake.atlas, &glb)?;
     bake.report.warnings.extend(info.warnings);
@@ -135,7 +165,7 @@ fn write_scene(
     let inputs = ManifestInputs {
         scene_file: Some("scene.glb".into()),
         page_files: (0..bake.atlas.pages.len()).map(page_file).collect(),
-        variant: args.variant.clone(),
+        variant: variant.clone(),
         error_percent,
     };
     Manifest::new(scene, &bake.atlas, &bake.lightmap, options.quantity, &bake.lighting, options.lights, &inputs)

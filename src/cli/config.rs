@@ -13,6 +13,9 @@ use std::path::{Path, PathBuf};
 use toml::Spanned;
 use toml::de::{DeTable, DeValue};
 
+/// Commands that take such a file.
+const COMMANDS: [&str; 2] = ["bake", "plan"];
+
 /// Largest file (bytes).
 const MAX_BYTES: u64 = 1 << 20;
 
@@ -34,7 +37,8 @@ pub struct Config {
 pub fn expand(arguments: Vec<OsString>) -> Result<(Vec<OsString>, Option<Config>), BakeError> {
     let found = lenient().try_get_matches_from(&arguments);
     // What is wrong with the command line itself is said when it is parsed in earnest.
-    let Some(given) = found.ok().and_then(|m| m.subcommand_matches("bake").cloned()) else {
+    let subcommand = found.ok().and_then(|m| m.subcommand().map(|(name, given)| (name.to_owned(), given.clone())));
+    let Some((name, given)) = subcommand.filter(|(name, _)| COMMANDS.contains(&name.as_str())) else {
         return Ok((arguments, None));
     };
     let Some(path) = given.get_one::<PathBuf>("config").cloned() else { return Ok((arguments, None)) };
@@ -59,9 +63,9 @@ pub fn expand(arguments: Vec<OsString>) -> Result<(Vec<OsString>, Option<Config>
             }
         }
     }
-    let bake = arguments.iter().position(|a| a == "bake").map_or(arguments.len(), |i| i + 1);
+    let command = arguments.iter().position(|a| *a == *name).map_or(arguments.len(), |i| i + 1);
     let mut all = arguments;
-    all.splice(bake..bake, added);
+    all.splice(command..command, added);
     Ok((all, Some(config)))
 }
 
@@ -80,7 +84,7 @@ impl Config {
 /// The command line, but that everything may be left to the file.
 fn lenient() -> Command {
     let optional = |bake: Command| bake.mut_arg("out", |a| a.required(false)).mut_arg("scene", |a| a.required(false));
-    Cli::command().mut_subcommand("bake", optional)
+    COMMANDS.into_iter().fold(Cli::command(), |all, command| all.mut_subcommand(command, optional))
 }
 
 fn read(path: &Path) -> Result<String, BakeError> {

@@ -7,10 +7,11 @@
 mod args;
 mod bake;
 mod config;
+mod farm;
 pub mod inspect;
 mod terminal;
 
-use clap::Parser;
+use clap::{CommandFactory, FromArgMatches};
 use evenlight::scene::gltf::LoadOptions;
 use evenlight::{BakeError, Scene};
 use std::io::Write;
@@ -25,15 +26,22 @@ pub fn run() -> ExitCode {
         Ok(found) => found,
         Err(error) => return failed(&error),
     };
-    let command = args::Cli::parse_from(arguments).command;
+    let matches = args::Cli::command().get_matches_from(arguments);
+    let command = match args::Cli::from_arg_matches(&matches) {
+        Ok(cli) => cli.command,
+        Err(error) => error.exit(),
+    };
     evenlight::atlas::silence_unwrapper_panics();
     let result = match command {
+        args::Command::Bake(args) if args.plan.is_some() => {
+            farm::bake(&args, matches.subcommand_matches("bake").unwrap_or(&matches))
+        }
         args::Command::Bake(args) => bake::run(&args, config.unwrap_or_default()),
+        args::Command::Plan(args) => farm::plan(&args, config.unwrap_or_default()),
+        args::Command::Merge(args) => farm::merge(&args),
         args::Command::Inspect { scene, variant, json } => inspect_scene(&scene, variant, json),
         args::Command::UnwrapWorker => return ExitCode::from(evenlight::atlas::worker_main() as u8),
         args::Command::Check { .. } => not_built("check"),
-        args::Command::Plan { .. } => not_built("plan"),
-        args::Command::Merge { .. } => not_built("merge"),
         args::Command::View { .. } => not_built("view"),
         args::Command::Selftest => not_built("selftest"),
     };

@@ -499,6 +499,46 @@ impl Direct {
     }
 }
 
+/// Direct light of some texels, as one of several machines gathered it.
+#[derive(Debug, Default, Serialize, Deserialize)]
+pub struct DirectPart {
+    /// Texel and both halves of it.
+    texels: Vec<(u32, [HalfTexel; 2])>,
+    /// Samples and rays that these took.
+    samples: u64,
+    rays: u64,
+}
+
+impl Direct {
+    /// Texels with numbers in the same block are lit alike.
+    pub const BLOCK: usize = CHUNK;
+
+    /// What there is of `texels`, and all that was added since `before` had so many samples and rays.
+    pub fn part(&self, texels: impl Iterator<Item = u32>, before: (u64, u64)) -> DirectPart {
+        let [odd, even] = &self.halves;
+        DirectPart {
+            texels: texels.map(|t| (t, [odd[t as usize], even[t as usize]])).collect(),
+            samples: self.samples - before.0,
+            rays: self.rays - before.1,
+        }
+    }
+
+    /// Puts in what another machine gathered on top of the same; false, and nothing is changed, where it is of other
+    /// texels.
+    pub fn put(&mut self, part: &DirectPart) -> bool {
+        let fits = part.texels.iter().all(|(t, _)| (*t as usize) < self.texels());
+        if fits {
+            for &(texel, [odd, even]) in &part.texels {
+                self.halves[0][texel as usize] = odd;
+                self.halves[1][texel as usize] = even;
+            }
+            self.samples += part.samples;
+            self.rays += part.rays;
+        }
+        fits
+    }
+}
+
 /// Square roots of `noise`, relative to the mean.
 fn wishes(noise: &[f64]) -> impl Iterator<Item = f64> {
     let mean = noise.iter().sum::<f64>() / noise.len().max(1) as f64;

@@ -22,7 +22,7 @@ mod tree;
 mod visibility;
 
 pub use emitters::{Emitters, LightSettings, PUNCTUAL_LOOP_LIMIT, SAMPLE_DIMENSIONS};
-pub use gather::{Allocation, Direct, Growth, Leaving, LitPoint, START_SLOTS, StartSlot, TexelLight};
+pub use gather::{Allocation, Direct, DirectPart, Growth, Leaving, LitPoint, START_SLOTS, StartSlot, TexelLight};
 pub use groups::LightGroup;
 pub use lighting::Lighting;
 pub use open::{COVER, cover_above, cover_height, cover_in_part, inside_solid, open_shares, shown_texels};

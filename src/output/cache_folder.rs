@@ -101,6 +101,11 @@ impl CacheFolder {
         }
     }
 
+    /// Names this build of the program.
+    pub fn build(&self) -> String {
+        blake3::Hash::from_bytes(self.build).to_hex()[..32].into()
+    }
+
     fn path(&self, key: &Key) -> PathBuf {
         let hash = blake3::keyed_hash(&self.build, &key.hash).to_hex();
         self.folder.join(format!("{}-{}.kept", key.kind, &hash[..32]))
@@ -111,7 +116,8 @@ impl CacheFolder {
     }
 }
 
-fn write(file: &mut File, key: &Key, writing: &Writing) -> io::Result<()> {
+/// Writes a file of what `writing` writes.
+pub(super) fn write(file: &mut File, key: &Key, writing: &Writing) -> io::Result<()> {
     let mut to = Hashing { to: BufWriter::with_capacity(1 << 20, file), hasher: blake3::Hasher::new() };
     to.write_all(MAGIC)?;
     to.write_all(&key.hash)?;
@@ -122,8 +128,8 @@ fn write(file: &mut File, key: &Key, writing: &Writing) -> io::Result<()> {
 }
 
 /// Whether a file of a cache folder may have this name, or had it while it was written.
-fn is_ours(name: &str) -> bool {
-    let kinds = ["charts-", "density-", "light-"];
+pub(super) fn is_ours(name: &str) -> bool {
+    let kinds = ["charts-", "density-", "light-", "plan-"];
     kinds.iter().any(|kind| name.starts_with(kind)) && (name.ends_with(".kept") || name.contains(PART))
 }
 
@@ -174,8 +180,14 @@ impl Cache for CacheFolder {
     }
 }
 
+/// Whether a file begins as those of a cache do.
+pub(super) fn is_kept(path: &Path) -> bool {
+    let mut start = [0; MAGIC.len()];
+    File::open(path).and_then(|mut file| file.read_exact(&mut start)).is_ok() && start == *MAGIC
+}
+
 /// Contents of a file, if it is whole and the key's.
-fn checked(path: &Path, key: &Key) -> io::Result<Option<Box<dyn Read>>> {
+pub(super) fn checked(path: &Path, key: &Key) -> io::Result<Option<Box<dyn Read>>> {
     let mut file = File::open(path)?;
     let length = file.metadata()?.len();
     let Some(contents) = length.checked_sub((HEADER + HASH) as u64) else { return Ok(None) };

@@ -20,7 +20,7 @@ use std::path::Path;
 const LARGEST_HALF: f32 = 60000.0;
 
 /// An extra layer of the file. Always stored as 32-bit float.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, serde::Serialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Layer {
     /// Half the difference of the two halves, in the quantity of the main layer.

@@ -8,6 +8,7 @@ mod files;
 pub mod glb;
 pub mod lightmap_exr;
 pub mod manifest;
+pub mod plan_folder;
 pub mod preview;
 mod rects;
 pub mod report_html;

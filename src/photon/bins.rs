@@ -61,6 +61,19 @@ pub struct Sums {
     backs: Vec<AtomicI64>,
 }
 
+impl Sums {
+    /// Bins of each kind.
+    fn lengths(&self) -> [usize; 5] {
+        let Sums { halves: [odd, even], caustics: [odd_caustics, even_caustics], backs } = self;
+        [odd.len(), even.len(), odd_caustics.len(), even_caustics.len(), backs.len()]
+    }
+
+    /// All of them in order.
+    fn bins(&self) -> impl Iterator<Item = &AtomicI64> {
+        self.halves.iter().chain(&self.caustics).flatten().flatten().chain(&self.backs)
+    }
+}
+
 impl<'t> Bins<'t> {
     /// Bytes per texel of both halves.
     pub const BYTES_PER_TEXEL: usize = 2 * size_of::<[AtomicI64; 3]>();
@@ -107,6 +120,22 @@ impl<'t> Bins<'t> {
         fit
     }
 
+    /// Takes out what is in them: they are of no further use.
+    pub fn take_sums(&mut self) -> Sums {
+        std::mem::take(&mut self.sums)
+    }
+
+    /// Adds what was in other bins of the same texels; false, and nothing is changed, where they were of others.
+    pub fn add(&mut self, more: &Sums) -> bool {
+        let fits = self.sums.lengths() == more.lengths();
+        if fits {
+            self.sums.bins().zip(more.bins()).for_each(|(sum, more)| {
+                sum.fetch_add(more.load(Relaxed), Relaxed);
+            });
+        }
+        fits
+    }
+
     /// Flux over the three channels that the back of each triangle took up.
     pub fn back_flux(&self) -> Vec<i64> {
         self.sums.backs.iter().map(|b| b.load(Relaxed)).collect()
@@ -122,6 +151,11 @@ impl<'t> Bins<'t> {
     /// Flux of light that was reflected diffusely at least once, of a texel, one half.
     pub fn flux(&self, half: usize, texel: usize) -> [i64; 3] {
         sum_of(&self.sums.halves[half][texel])
+    }
+
+    /// Empties all of them.
+    pub fn empty_all(&mut self) {
+        self.sums.bins().for_each(|bin| bin.store(0, Relaxed));
     }
 
     /// Empties the bins of such light.

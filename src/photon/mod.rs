@@ -16,6 +16,6 @@ mod walk;
 
 pub use bins::{Bins, Deposit, DepositSink, Sums, Trail};
 pub use ledger::EnergyLedger;
-pub use net::{Flux, Shooting};
+pub use net::{Flux, NetPart, Shooting};
 pub use start::StartTable;
 pub use walk::{MAX_SURFACES, MOST_CREVICE_STEPS, Photon, PhotonKind, walk};

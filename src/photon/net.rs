@@ -7,9 +7,12 @@ use super::walk::{Photon, PhotonKind, walk};
 use crate::accel::Ray;
 use crate::atlas::TexelSampler;
 use crate::light::{Direct, Leaving, START_SLOTS, StartSlot, TexelLight};
-use crate::sampling::{DIMENSIONS, Stream, cosine_hemisphere, hash_mix, sobol, sobol_index_of_stratum, unit_f32};
+use crate::sampling::{
+    DIMENSIONS, Stream, cosine_hemisphere, hash_mix, scrambled_stratum, sobol, sobol_index_of_stratum, unit_f32,
+};
 use glam::Vec2;
 use rayon::prelude::*;
+use serde::{Deserialize, Serialize};
 
 /// Largest flux of a photon, in integer steps: reflectances multiply it without overflow.
 const LARGEST_WEIGHT: u32 = 1 << 30;
@@ -22,7 +25,7 @@ const CHUNK: u32 = 2048;
 
 /// The integer unit of flux of a bake: a power of two, so that scaling every light by a power of two changes
 /// no integer.
-#[derive(Debug, Clone, Copy, PartialEq, serde::Serialize, serde::Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct Flux {
     /// Flux of one integer step [lux x frame units squared].
     pub unit: f64,
@@ -56,6 +59,8 @@ pub struct Shooting<'a> {
     pub seed: u64,
     /// Integer unit of flux.
     pub flux: Flux,
+    /// Photons of another net started at the same points: none starts there again before that is moved.
+    pub used: bool,
     /// Where each half starts.
     pub starts: &'a [StartTable; 2],
     /// Direct light with its start points.
@@ -66,17 +71,48 @@ pub struct Shooting<'a> {
     pub crevice: f32,
 }
 
+/// Some photons of a net: one of equal parts of it, each of which is a net as well.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+pub struct NetPart {
+    /// Number of the net.
+    pub net: u64,
+    /// Number of the part.
+    pub part: u32,
+    /// Binary logarithm of the number of parts.
+    pub part_bits: u32,
+    /// Binary logarithm of the photons in each; with `part_bits` at most 32.
+    pub bits: u32,
+}
+
+impl NetPart {
+    /// All of a net.
+    pub fn whole(net: u64, bits: u32) -> NetPart {
+        NetPart { net, part: 0, part_bits: 0, bits }
+    }
+}
+
 impl Shooting<'_> {
-    /// Shoots net number `net` of a half: 2^`bits` photons. The start coordinate walks its strata in order (one
+    /// Shoots a part of a net of both halves. A half whose direct samples found no light sends out nothing, but its
+    /// photons count.
+    pub fn both_halves(&self, part: NetPart, sink: &impl DepositSink) -> EnergyLedger {
+        let mut ledger = EnergyLedger::default();
+        for half in (0..2).filter(|&half| self.starts[half].total() > 0.0) {
+            ledger += &self.net(half, part, sink);
+        }
+        ledger
+    }
+
+    /// Shoots a part of a net of a half: 2^`bits` photons. The start coordinate walks its strata in order (one
     /// jittered photon in each), so that rays start in texel order; all other coordinates are those of the
     /// Owen-scrambled Sobol point that belongs to the stratum. Every photon is thus uniform in all other
-    /// coordinates whatever its stratum, and the mean over the net is unbiased.
-    pub fn net(&self, half: usize, net: u64, bits: u32, sink: &impl DepositSink) -> EnergyLedger {
-        let count = 1u32 << bits;
+    /// coordinates whatever its stratum, and the mean over the part is unbiased. All parts together have one photon in
+    /// each stratum of the whole net, as the points of one sequence.
+    pub fn net(&self, half: usize, part: NetPart, sink: &impl DepositSink) -> EnergyLedger {
+        let count = 1u32 << part.bits;
         let net = Net {
             half,
-            bits,
-            key: hash_mix(hash_mix(self.seed, self.kind.key()), net << 1 | half as u64),
+            part,
+            key: hash_mix(hash_mix(self.seed, self.kind.key()), part.net << 1 | half as u64),
             weight: self.flux.weight(self.starts[half].total()),
         };
         (0..count.div_ceil(CHUNK))
@@ -97,18 +133,25 @@ impl Shooting<'_> {
 
     /// One photon from its start to its end.
     fn photon(&self, net: &Net, stratum: u32, task: &mut Task) {
-        let mut stream = Stream::new(hash_mix(net.key, u64::from(stratum)));
+        let NetPart { part, part_bits, bits, .. } = net.part;
+        let index = sobol_index_of_stratum(stratum, bits) | (part << bits);
+        let mut stream = Stream::new(hash_mix(net.key, u64::from(part) << bits | u64::from(stratum)));
         let jitter = f64::from(stream.bits()) / 4_294_967_296.0;
-        let coordinate = (f64::from(stratum) + jitter) / f64::from(1u32 << net.bits);
+        // Which of its finer strata a part has here is random, but no two have the same.
+        let fine = scrambled_stratum(part, part_bits, hash_mix(net.key, !u64::from(stratum)) as u32);
+        let strata = 1u64 << (bits + part_bits);
+        let coordinate = (f64::from(stratum << part_bits | fine) + jitter) / strata as f64;
         let texel = self.starts[net.half].pick(coordinate, task.texel);
         if task.texel.replace(texel) != Some(texel) {
             task.slots = std::array::from_fn(|slot| self.direct.start(net.half, texel, slot).copied());
             task.photons = 0;
+            task.moved = [false; START_SLOTS];
         }
         let slot = stream.bits() as usize % START_SLOTS;
         task.photons += 1;
         // What leaves as from a mirror always goes the same way: caustics move for every photon.
-        if self.kind == PhotonKind::Caustic || task.photons.is_multiple_of(MOVE_EVERY) {
+        let first = self.used && !std::mem::replace(&mut task.moved[slot], true);
+        if self.kind == PhotonKind::Caustic || first || task.photons.is_multiple_of(MOVE_EVERY) {
             self.move_start(texel, slot, &mut stream, task);
         }
         let Some(start) = task.slots[slot] else { return };
@@ -117,7 +160,7 @@ impl Shooting<'_> {
             return;
         }
 
-        let (index, scramble) = (sobol_index_of_stratum(stratum, net.bits), net.key as u32);
+        let scramble = net.key as u32;
         let mut dimension = 0;
         let mut random = || {
             dimension += 1;
@@ -165,6 +208,8 @@ struct Task {
     /// Where its photons start, and how many did.
     slots: [Option<StartSlot>; START_SLOTS],
     photons: u32,
+    /// Whether these starts were moved before their first photon.
+    moved: [bool; START_SLOTS],
     /// The texel that the sampler holds.
     loaded: Option<usize>,
     sampler: TexelSampler,
@@ -175,7 +220,7 @@ struct Task {
 /// One net of one half.
 struct Net {
     half: usize,
-    bits: u32,
+    part: NetPart,
     key: u64,
     weight: u32,
 }

@@ -9,7 +9,7 @@ mod sobol;
 mod warp;
 
 pub use hash::{Stream, hash_mix, hash_seed};
-pub use sobol::{DIMENSIONS, sobol, sobol_index_of_stratum};
+pub use sobol::{DIMENSIONS, scrambled_stratum, sobol, sobol_index_of_stratum};
 pub use warp::{cosine_hemisphere, orthonormal_basis, uniform_cone, uniform_triangle};
 
 /// A number in [0, 1) from 32 random bits, with 24 bits of resolution.

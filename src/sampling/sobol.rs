@@ -99,6 +99,12 @@ pub fn sobol_index_of_stratum(stratum: u32, bits: u32) -> u32 {
     if bits == 0 { 0 } else { stratum.reverse_bits() >> (32 - bits) }
 }
 
+/// Stratum of 2^`bits` equal ones that point `index` of a scrambled van der Corput sequence lies in: for the first
+/// 2^`bits` indices each one once.
+pub fn scrambled_stratum(index: u32, bits: u32, seed: u32) -> u32 {
+    if bits == 0 { 0 } else { owen_scramble(index.reverse_bits(), mix(seed)) >> (32 - bits) }
+}
+
 fn owen_scramble(x: u32, seed: u32) -> u32 {
     let mut n = x.reverse_bits();
     n ^= n.wrapping_mul(0x3d20_adea);
@@ -120,6 +126,21 @@ fn mix(mut n: u32) -> u32 {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn points_of_parts_fill_each_stratum_once_and_any_part_may_have_any() {
+        let mut first = [0; 8];
+        for seed in 0..4096 {
+            let mut strata: Vec<u32> = (0..8).map(|k| scrambled_stratum(k, 3, seed)).collect();
+            first[strata[5] as usize] += 1;
+            // Half of the parts have one in each half, and so on.
+            assert!(strata.chunks(2).all(|pair| pair[0] / 4 != pair[1] / 4), "{strata:?}");
+            strata.sort_unstable();
+            assert_eq!(strata, [0, 1, 2, 3, 4, 5, 6, 7]);
+        }
+        // 5 standard deviations of a count of 512: 1 in a million for any of them by chance.
+        assert!(first.iter().all(|&n| f64::abs(f64::from(n) - 512.0) < 5.0 * 512f64.sqrt()), "{first:?}");
+    }
 
     /// Every elementary interval of a (t, m, 2)-net with t = 0 holds exactly one point: dimensions 0 and 1
     /// of the Sobol sequence are such a net for every m, scrambled or not.

@@ -3,12 +3,13 @@
 use super::{BakeMode, IesProfile, Light, LightKind, Scene};
 use crate::error::BakeError;
 use glam::Vec3;
+use serde::{Deserialize, Serialize};
 use std::collections::BTreeSet;
 use std::path::PathBuf;
 use std::sync::Arc;
 
 /// What to change. Names may end in `*`, which stands for any end; where several fit, what is said last holds.
-#[derive(Debug, Clone, Default, PartialEq)]
+#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
 pub struct Changes {
     /// By name of a light, of its node, or of a material that emits.
     pub lights: Vec<(String, LightChange)>,
@@ -17,7 +18,7 @@ pub struct Changes {
 }
 
 /// What to change of a light; `None` leaves it as it is.
-#[derive(Debug, Clone, Default, PartialEq)]
+#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
 pub struct LightChange {
     /// Which part of it is baked.
     pub bake: Option<BakeMode>,
@@ -28,7 +29,7 @@ pub struct LightChange {
 }
 
 /// What to change of a node; `None` leaves it as it is.
-#[derive(Debug, Clone, Copy, Default, PartialEq)]
+#[derive(Debug, Clone, Copy, Default, PartialEq, Serialize, Deserialize)]
 pub struct NodeChange {
     /// As extras `evenlight.weight`, from 0.
     pub weight: Option<f32>,

@@ -108,7 +108,7 @@ impl AreaShape {
 }
 
 /// Which part of a light's light goes into the maps.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, serde::Serialize, serde::Deserialize)]
 pub enum BakeMode {
     /// Direct and reflected light.
     #[default]

@@ -217,7 +217,7 @@ impl Solver<'_, '_> {
 
     /// Squared relative noise of the flux that photons start with. They start at direct samples: how far the halves
     /// are apart in it is noise of all indirect light that only direct samples lower.
-    fn start_noise(&self) -> f64 {
+    pub(super) fn start_noise(&self) -> f64 {
         let [odd, even] = self.diffuse.start_totals();
         if odd + even > 0.0 { ((odd - even) / (odd + even)).powi(2) } else { 0.0 }
     }

@@ -167,6 +167,23 @@ impl Solver<'_, '_> {
         }
     }
 
+    /// Seconds that a round takes at the speed so far.
+    pub(super) fn seconds_of(&self, round: &Round) -> f64 {
+        self.amount(round).times(&self.rates())
+    }
+
+    /// Foretells the end of a round of which `share` is done here.
+    pub(super) fn foresee(&mut self, round: &Round, share: f64) {
+        let Work { samples, photon_rays, .. } = self.amount(round);
+        let to_do = Work { samples: share * samples, photon_rays: share * photon_rays, gather_rays: 0.0 };
+        self.last = Some(Outlook {
+            percent: self.course.history.last().map_or(f64::INFINITY, |h| h.high),
+            until: self.done().plus(&to_do),
+            estimates: 0.0,
+            spread: LEAST_SPREAD.exp(),
+        });
+    }
+
     /// Tells the observer where the bake stands.
     ///
     /// # Errors

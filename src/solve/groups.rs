@@ -5,7 +5,7 @@
 
 use super::audit::audit;
 use super::estimate::stored_weights;
-use super::{LightPath, Solution, solve};
+use super::{LightPath, Part, Solution, solve};
 use crate::accuracy::{Audit, Caustics, Halves, TexelError, TexelWeights, mesh_errors};
 use crate::cache::Keeping;
 use crate::error::BakeError;
@@ -40,62 +40,109 @@ pub struct GroupSolution {
     pub history: Vec<HistoryEntry>,
 }
 
-/// Solves each of `groups` by itself, and adds them up; the light of `path` as a whole where there are none.
-/// A time limit is shared out evenly, and so are most photons. The work on each has a place of its own in `keeping`.
+/// What is done on part number 0, 1, ... of the light.
+pub(super) type PartWork<'w> =
+    dyn for<'o> FnMut(usize, Part<'o, 'o>, &'o mut dyn Observer) -> Result<(), BakeError> + 'w;
+
+/// All light, in the parts that are solved by themselves.
+#[derive(Clone)]
+pub struct Parts<'a> {
+    /// What rays meet, and all that shines.
+    pub path: LightPath<'a>,
+    /// Groups of lights; the light of `path` as a whole is the only part where there are none.
+    pub groups: &'a [LightGroup],
+    /// What shines of a group.
+    pub emitters: &'a dyn Fn(&LightGroup) -> Emitters,
+    /// Weights of the texels of the map.
+    pub weights: TexelWeights,
+    /// Targets, limits and seed. A time limit is shared out evenly, and so are most photons.
+    pub options: &'a BakeOptions,
+    /// When the bake began.
+    pub began: Instant,
+}
+
+impl Parts<'_> {
+    /// Does `work` on each part in order, of which `keeping` has a place of a `kind` for each.
+    ///
+    /// # Errors
+    /// [`BakeError::Cancelled`] when the observer says so, and what `work` returns.
+    pub(super) fn each(
+        &mut self,
+        kind: &'static str,
+        mut keeping: Option<Keeping>,
+        observer: &mut dyn Observer,
+        work: &mut PartWork,
+    ) -> Result<(), BakeError> {
+        let Parts { path, groups, emitters, options, began, .. } = *self;
+        if groups.is_empty() {
+            let slot = keeping.as_mut().map(|keeping| keeping.slot(kind, &()));
+            return work(0, Part { path, weights: self.weights.clone(), options, began, slot }, observer);
+        }
+        self.weights = sides(path, self.weights.clone(), options, began, observer)?;
+        let count = groups.len();
+        for (k, group) in groups.iter().enumerate() {
+            observer.group(&group.name, k + 1, count);
+            let gone = began.elapsed().as_secs_f64();
+            let own = BakeOptions {
+                seed: hash_mix(hash_mix(options.seed, GROUP), k as u64),
+                time_limit: options.time_limit.map(|limit| gone + (limit - gone).max(0.0) / (count - k) as f64),
+                max_photons: options.max_photons.map(|most| most / count as u64),
+                // Which sides are stored is known: all that is left counts.
+                double_sided: DoubleSided::Split,
+                ..options.clone()
+            };
+            let emitters = emitters(group);
+            let path = LightPath { emitters: &emitters, ..path };
+            let slot = keeping.as_mut().map(|keeping| keeping.slot(kind, &(k, group)));
+            work(k, Part { path, weights: self.weights.clone(), options: &own, began, slot }, observer)?;
+        }
+        Ok(())
+    }
+
+    /// `sum` and what is `solved` of part `k`.
+    pub(super) fn add(groups: &[LightGroup], sum: Option<Solution>, k: usize, solved: Solution) -> Solution {
+        let group = groups.get(k).map(|group| GroupSolution {
+            group: group.clone(),
+            light: (0..solved.weights.weight.len()).map(|i| solved.total.mean(i)).collect(),
+            error: solved.error,
+            mesh_percent: solved.mesh_percent,
+            limit: solved.limit,
+            audit: solved.audit,
+            history: solved.history.clone(),
+        });
+        let mut whole = match sum {
+            None => solved,
+            Some(sum) => sum.plus(solved),
+        };
+        whole.groups.extend(group);
+        whole
+    }
+
+    /// What is known of the `sum` of all parts: there is one at least.
+    pub(super) fn summed(self, sum: Option<Solution>, observer: &mut dyn Observer) -> Result<Solution, BakeError> {
+        match sum {
+            Some(sum) if self.groups.is_empty() => Ok(sum),
+            Some(sum) => sum.whole(self, observer),
+            None => Err(BakeError::Cancelled),
+        }
+    }
+}
+
+/// Solves each of the parts by itself, and adds them up.
 ///
 /// # Errors
 /// [`BakeError::Cancelled`] when the observer says so.
 pub fn solve_groups(
-    path: LightPath,
-    groups: &[LightGroup],
-    emitters: &dyn Fn(&LightGroup) -> Emitters,
-    weights: TexelWeights,
-    options: &BakeOptions,
-    began: Instant,
-    mut keeping: Option<Keeping>,
+    mut parts: Parts,
+    keeping: Option<Keeping>,
     observer: &mut dyn Observer,
 ) -> Result<Solution, BakeError> {
-    let weights = if groups.is_empty() { weights } else { sides(path, weights, options, began, observer)? };
-    let count = groups.len();
-    let mut sum: Option<Solution> = None;
-    for (k, group) in groups.iter().enumerate() {
-        observer.group(&group.name, k + 1, count);
-        let gone = began.elapsed().as_secs_f64();
-        let own = BakeOptions {
-            seed: hash_mix(hash_mix(options.seed, GROUP), k as u64),
-            time_limit: options.time_limit.map(|limit| gone + (limit - gone).max(0.0) / (count - k) as f64),
-            max_photons: options.max_photons.map(|most| most / count as u64),
-            // Which sides are stored is known: all that is left counts.
-            double_sided: DoubleSided::Split,
-            ..options.clone()
-        };
-        let emitters = emitters(group);
-        let lit = LightPath { emitters: &emitters, ..path };
-        let slot = keeping.as_mut().map(|keeping| keeping.slot("light", &(k, group)));
-        let part = solve(lit, weights.clone(), &own, began, slot, observer)?;
-        let solved = GroupSolution {
-            group: group.clone(),
-            light: (0..weights.weight.len()).map(|i| part.total.mean(i)).collect(),
-            error: part.error,
-            mesh_percent: part.mesh_percent,
-            limit: part.limit,
-            audit: part.audit,
-            history: part.history.clone(),
-        };
-        let mut whole = match sum {
-            None => part,
-            Some(sum) => sum.plus(part),
-        };
-        whole.groups.push(solved);
-        sum = Some(whole);
-    }
-    match sum {
-        None => {
-            let slot = keeping.as_mut().map(|keeping| keeping.slot("light", &()));
-            solve(path, weights, options, began, slot, observer)
-        }
-        Some(sum) => sum.whole(path, weights, options, began, observer),
-    }
+    let (groups, mut sum) = (parts.groups, None);
+    parts.each("light", keeping, observer, &mut |k, part, observer| {
+        sum = Some(Parts::add(groups, sum.take(), k, solve(part, observer)?));
+        Ok(())
+    })?;
+    parts.summed(sum, observer)
 }
 
 /// `weights` without the sides that are not stored. Where light decides, a look by all lights tells which these are: each
@@ -121,7 +168,8 @@ fn sides(
         audit: Audits::Off,
         ..options.clone()
     };
-    Ok(solve(path, weights, &one_round, began, None, observer)?.weights)
+    let part = Part { path, weights, options: &one_round, began, slot: None };
+    Ok(solve(part, observer)?.weights)
 }
 
 impl Solution {
@@ -171,14 +219,8 @@ impl Solution {
     }
 
     /// What is known of the sum as a whole, and what an audit of it by all lights says.
-    fn whole(
-        mut self,
-        path: LightPath,
-        weights: TexelWeights,
-        options: &BakeOptions,
-        began: Instant,
-        observer: &mut dyn Observer,
-    ) -> Result<Solution, BakeError> {
+    fn whole(mut self, parts: Parts, observer: &mut dyn Observer) -> Result<Solution, BakeError> {
+        let Parts { path, weights, options, began, .. } = parts;
         self.weights = weights;
         let (world, target) = (path.visibility.world, options.target_percent);
         (self.meshes, self.area_within_target) =

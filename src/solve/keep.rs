@@ -29,9 +29,13 @@ impl Solver<'_, '_> {
 
     /// Keeps the work so far, unless it is all that of an earlier bake.
     pub(super) fn keep(&mut self) {
-        if self.rays() == self.earlier.rays {
-            return;
+        if self.rays() != self.earlier.rays {
+            self.keep_all();
         }
+    }
+
+    /// Keeps the work so far.
+    pub(super) fn keep_all(&mut self) {
         // What is concluded from a round is concluded again: it may be done with another target.
         let course = self.traced.as_ref().unwrap_or(&self.course);
         let elapsed = self.earlier.elapsed + self.began.elapsed().as_secs_f64();
@@ -41,11 +45,11 @@ impl Solver<'_, '_> {
         }
     }
 
-    /// Goes on from what was kept, if anything was.
-    pub(super) fn recall(&mut self) {
+    /// Goes on from what was kept, if anything was; whether it was.
+    pub(super) fn recall(&mut self) -> bool {
         let texels = self.direct.texels();
         let instances = self.texels_of.len();
-        let Some(slot) = &mut self.slot else { return };
+        let Some(slot) = &mut self.slot else { return false };
         // Not both at once: they are most of the memory of a bake.
         self.direct = Direct::new(0);
         let mut rest = None;
@@ -58,17 +62,21 @@ impl Solver<'_, '_> {
         });
         let Some((direct, [diffuse, caustics], gathering, course, seconds, elapsed)) = rest.filter(|_| found) else {
             self.direct = Direct::new(texels);
-            return;
+            return false;
         };
         (self.direct, self.diffuse, self.caustics) = (direct, diffuse, caustics);
         (self.gathering, self.course) = (gathering, course);
         // Time may run out before the next photons start: what there is then was brought by those before.
-        for (kind, photons) in
-            [(PhotonKind::Diffuse, self.diffuse.photons), (PhotonKind::Caustic, self.caustics.photons)]
-        {
-            let starts = (photons > 0).then(|| self.starts(kind));
+        self.start_anew();
+        (self.seconds, self.earlier) = (seconds, Earlier { rays: self.rays(), elapsed, seconds });
+        true
+    }
+
+    /// Where light leaves, by the direct light that there is.
+    pub(super) fn start_anew(&mut self) {
+        for kind in [PhotonKind::Diffuse, PhotonKind::Caustic] {
+            let starts = (self.shots(kind).photons > 0).then(|| self.starts(kind));
             self.shots(kind).starts = starts;
         }
-        (self.seconds, self.earlier) = (seconds, Earlier { rays: self.rays(), elapsed, seconds });
     }
 }

@@ -14,14 +14,17 @@ mod gathered;
 mod groups;
 mod keep;
 mod light;
+mod shards;
 mod shots;
 mod surface;
 
 pub use forecast::LightSeconds;
-pub use groups::{GroupSolution, solve_groups};
+pub use groups::{GroupSolution, Parts, solve_groups};
+pub use shards::{PlanOutlook, Shard, ShardWork, Shards, merge_groups, plan_groups, shard_groups};
 pub use surface::Surface;
 
 use forecast::{Falls, Outlook};
+use shards::Planned;
 use shots::Shots;
 
 use crate::accuracy::{
@@ -193,6 +196,21 @@ pub struct Solution {
     pub seconds: LightSeconds,
 }
 
+/// Light that is solved by itself: all of it, or that of a group.
+#[derive(Debug)]
+pub struct Part<'a, 'o> {
+    /// What it is.
+    pub path: LightPath<'a>,
+    /// Weights of the texels of the map.
+    pub weights: TexelWeights,
+    /// Targets, limits and seed.
+    pub options: &'a BakeOptions,
+    /// When the bake began.
+    pub began: Instant,
+    /// Where its work is kept, if anywhere.
+    pub slot: Option<Slot<'o>>,
+}
+
 /// Work under way.
 struct Solver<'a, 'o> {
     path: LightPath<'a>,
@@ -243,6 +261,8 @@ struct Course {
     smooths_direct: Option<bool>,
     /// What an audit found beyond the halves.
     unseen: Option<Unseen>,
+    /// All that is still to do, where shards do it.
+    planned: Option<Planned>,
     falls: Falls,
     history: Vec<HistoryEntry>,
     rounds: Vec<RoundSeconds>,
@@ -257,51 +277,13 @@ struct Earlier {
     seconds: LightSeconds,
 }
 
-/// Solves until the targets of `options` are met or a limit binds. `began` is when the bake began. Goes on from the work
-/// that `slot` holds, and keeps there what is done; the result is the same bytes as if it had never been interrupted.
+/// Solves until the targets are met or a limit binds. Goes on from the work that the part's slot holds, and keeps there
+/// what is done; the result is the same bytes as if it had never been interrupted.
 ///
 /// # Errors
 /// [`BakeError::Cancelled`] when the observer says so.
-pub fn solve<'o>(
-    path: LightPath,
-    weights: TexelWeights,
-    options: &BakeOptions,
-    began: Instant,
-    slot: Option<Slot<'o>>,
-    observer: &'o mut dyn Observer,
-) -> Result<Solution, BakeError> {
-    let instances = path.visibility.world.scene.instances.len();
-    let mut texels_of = vec![Vec::new(); instances];
-    (0..).zip(&weights.instance).for_each(|(texel, &i)| texels_of[i as usize].push(texel));
-    let mut solver = Solver {
-        path,
-        options,
-        observer,
-        began,
-        weights,
-        direct: Direct::new(path.surface.texels.texels.len()),
-        bins: Bins::new(path.visibility.world, &path.surface.texels, &path.surface.open),
-        diffuse: Shots::default(),
-        caustics: Shots::default(),
-        gathering: Gathering { at: vec![(0, 0); instances], ..Gathering::default() },
-        texels_of,
-        course: Course {
-            round: Round::default(),
-            before: (0, 0, 0),
-            gathered: vec![0; instances],
-            smooths_direct: None,
-            unseen: None,
-            falls: Falls::new(),
-            history: Vec::new(),
-            rounds: Vec::new(),
-        },
-        traced: None,
-        seconds: LightSeconds::default(),
-        last: None,
-        slot,
-        earlier: Earlier::default(),
-    };
-    solver.run()
+pub fn solve<'o>(part: Part<'_, 'o>, observer: &'o mut dyn Observer) -> Result<Solution, BakeError> {
+    Solver::new(part, observer).run()
 }
 
 /// Work for a round.
@@ -327,11 +309,47 @@ impl Round {
     }
 }
 
-impl Solver<'_, '_> {
+impl<'a, 'o> Solver<'a, 'o> {
+    /// Before the first round.
+    fn new(part: Part<'a, 'o>, observer: &'o mut dyn Observer) -> Solver<'a, 'o> {
+        let Part { path, weights, options, began, slot } = part;
+        let texels = &path.surface.texels;
+        let instances = path.visibility.world.scene.instances.len();
+        let mut texels_of = vec![Vec::new(); instances];
+        (0..).zip(&weights.instance).for_each(|(texel, &i)| texels_of[i as usize].push(texel));
+        let bits = (texels.texels.len().max(1).ilog2()).clamp(*FIRST_NET_BITS.start(), *FIRST_NET_BITS.end());
+        Solver {
+            path,
+            options,
+            observer,
+            began,
+            weights,
+            direct: Direct::new(texels.texels.len()),
+            bins: Bins::new(path.visibility.world, texels, &path.surface.open),
+            diffuse: Shots::default(),
+            caustics: Shots::default(),
+            gathering: Gathering { at: vec![(0, 0); instances], ..Gathering::default() },
+            texels_of,
+            course: Course {
+                round: Round { samples: 1, photons: 1 << bits, caustics: 1 << bits, ..Round::default() },
+                before: (0, 0, 0),
+                gathered: vec![0; instances],
+                smooths_direct: None,
+                unseen: None,
+                planned: None,
+                falls: Falls::new(),
+                history: Vec::new(),
+                rounds: Vec::new(),
+            },
+            traced: None,
+            seconds: LightSeconds::default(),
+            last: None,
+            slot,
+            earlier: Earlier::default(),
+        }
+    }
+
     fn run(&mut self) -> Result<Solution, BakeError> {
-        let bits = (self.path.surface.texels.texels.len().max(1).ilog2())
-            .clamp(*FIRST_NET_BITS.start(), *FIRST_NET_BITS.end());
-        self.course.round = Round { samples: 1, photons: 1 << bits, caustics: 1 << bits, ..Round::default() };
         self.recall();
         loop {
             let mut solution = self.converge()?;
@@ -355,11 +373,16 @@ impl Solver<'_, '_> {
                 }
             }
             self.keep();
-            solution.history = std::mem::take(&mut self.course.history);
-            solution.rounds = std::mem::take(&mut self.course.rounds);
-            solution.seconds = self.seconds.since(&self.earlier.seconds);
-            return Ok(solution);
+            return Ok(self.finished(solution));
         }
+    }
+
+    /// `solution` with how it came about.
+    fn finished(&mut self, mut solution: Solution) -> Solution {
+        solution.history = std::mem::take(&mut self.course.history);
+        solution.rounds = std::mem::take(&mut self.course.rounds);
+        solution.seconds = self.seconds.since(&self.earlier.seconds);
+        solution
     }
 
     /// The round to do next.
@@ -373,29 +396,10 @@ impl Solver<'_, '_> {
     fn converge(&mut self) -> Result<Solution, BakeError> {
         loop {
             let mut stopped = self.trace()?;
-            self.traced = Some(self.course.clone());
-            let (started, gather) = (Instant::now(), self.seconds.gather);
-            let mut solution = self.solution()?;
-            self.learn(&solution);
-            self.seconds.estimate += started.elapsed().as_secs_f64() - (self.seconds.gather - gather);
+            let mut solution = self.concluded()?;
             if self.work() == self.course.before {
                 stopped = stopped.or(Some("samples"));
             }
-            let wish = self.wish(&solution, f64::INFINITY);
-            let rays = self.rays();
-            let forecast_rays = rays as f64 + wish.as_ref().map_or(0.0, |r| self.cost(r));
-            self.course.history.push(HistoryEntry {
-                direct_samples: self.direct.all_samples(),
-                photons: self.diffuse.photons * 2,
-                rays,
-                percent: solution.error.percent,
-                low: solution.error.low,
-                high: solution.error.high,
-                forecast_rays,
-            });
-            self.last = Some(self.outlook(&solution, wish.as_ref()));
-            let now = self.pause()?;
-            self.course.rounds.push(RoundSeconds::new(&now));
             let Some(wish) = self.wish(&solution, MOST_REDUCTION) else { return Ok(solution) };
             let next = self.bounded(wish);
             if self.seconds_left().is_some_and(|left| left <= 0.0) {
@@ -409,6 +413,30 @@ impl Solver<'_, '_> {
                 }
             }
         }
+    }
+
+    /// What is known once a round is traced.
+    fn concluded(&mut self) -> Result<Solution, BakeError> {
+        self.traced = Some(self.course.clone());
+        let (started, gather) = (Instant::now(), self.seconds.gather);
+        let solution = self.solution()?;
+        self.learn(&solution);
+        self.seconds.estimate += started.elapsed().as_secs_f64() - (self.seconds.gather - gather);
+        let wish = self.wish(&solution, f64::INFINITY);
+        let rays = self.rays();
+        self.course.history.push(HistoryEntry {
+            direct_samples: self.direct.all_samples(),
+            photons: self.diffuse.photons * 2,
+            rays,
+            percent: solution.error.percent,
+            low: solution.error.low,
+            high: solution.error.high,
+            forecast_rays: rays as f64 + wish.as_ref().map_or(0.0, |r| self.cost(r)),
+        });
+        self.last = Some(self.outlook(&solution, wish.as_ref()));
+        let now = self.pause()?;
+        self.course.rounds.push(RoundSeconds::new(&now));
+        Ok(solution)
     }
 
     /// Traces what is left of the round; the name of the limit that ended it early.
@@ -482,7 +510,12 @@ impl Solver<'_, '_> {
     /// The least work that meets the targets by what is known, or lowers the squared error by `most`; `None` where
     /// the targets are met.
     fn wish(&self, s: &Solution, most: f64) -> Option<Round> {
-        let (target, mesh_target) = (self.options.target_percent, self.options.mesh_target());
+        self.wish_for(s, 1.0, most)
+    }
+
+    /// The same for `aim` times the targets.
+    fn wish_for(&self, s: &Solution, aim: f64, most: f64) -> Option<Round> {
+        let (target, mesh_target) = (aim * self.options.target_percent, aim * self.options.mesh_target());
         let samples = self.direct.all_samples() as f64;
         if s.error.mean <= 0.0 {
             // Nothing found any light yet. It may come through a keyhole: black is believed after a good look.

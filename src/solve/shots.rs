@@ -3,7 +3,7 @@
 use super::forecast::Falls;
 use super::{LEAST_NET_BITS, LightPath, Solver, Surface};
 use crate::error::BakeError;
-use crate::photon::{Bins, EnergyLedger, Flux, PhotonKind, Shooting, StartTable};
+use crate::photon::{Bins, EnergyLedger, Flux, NetPart, PhotonKind, Shooting, StartTable};
 use serde::{Deserialize, Serialize};
 use std::time::Instant;
 
@@ -14,20 +14,22 @@ const LARGEST_NET_BITS: u32 = 21;
 #[derive(Debug, Default, Serialize, Deserialize)]
 pub(super) struct Shots {
     pub(super) flux: Option<Flux>,
-    /// Where photons of each half started last: not kept, for direct light tells it.
+    /// Where light leaves by the direct light so far: not kept, for that tells it.
     #[serde(skip)]
     pub(super) starts: Option<[StartTable; 2]>,
+    /// Start flux of each half, as the last round found it [lux x frame units squared].
+    totals: [f64; 2],
     /// Photons per half.
     pub(super) photons: u64,
     /// Nets per half.
-    nets: u64,
+    pub(super) nets: u64,
     pub(super) ledger: EnergyLedger,
 }
 
 impl Shots {
     /// Start flux of each half, as the last round found it [lux x frame units squared].
     pub(super) fn start_totals(&self) -> [f64; 2] {
-        self.starts.as_ref().map_or([0.0; 2], |s| [s[0].total(), s[1].total()])
+        self.totals
     }
 
     /// Flux of an integer step of a bin, and of a photon [lux x frame units squared].
@@ -60,7 +62,8 @@ impl Solver<'_, '_> {
         let mut started = Instant::now();
         let crevice = self.path.surface.crevice;
         let starts = self.starts(kind);
-        let total = starts[0].total().max(starts[1].total());
+        let totals = starts.each_ref().map(StartTable::total);
+        let total = totals[0].max(totals[1]);
         if total <= 0.0 {
             return Ok(None);
         }
@@ -74,6 +77,7 @@ impl Solver<'_, '_> {
             let left = self.left(kind);
             *left = (*left).max(1 << LEAST_NET_BITS);
         }
+        self.shots(kind).totals = totals;
         loop {
             let left = *self.left(kind);
             if left == 0 {
@@ -86,14 +90,9 @@ impl Solver<'_, '_> {
             }
             let (net, bits) =
                 (self.shots(kind).nets, left.min(allowed).ilog2().clamp(LEAST_NET_BITS, LARGEST_NET_BITS));
-            let shooting = Shooting { kind, seed, flux, starts: &starts, direct: &self.direct, light, crevice };
-            let mut ledger = EnergyLedger::default();
-            for (half, start) in starts.iter().enumerate() {
-                // A half whose direct samples found no light sends out nothing, but its photons count.
-                if start.total() > 0.0 {
-                    ledger += &shooting.net(half, net, bits, &self.bins);
-                }
-            }
+            let shooting =
+                Shooting { kind, seed, flux, used: false, starts: &starts, direct: &self.direct, light, crevice };
+            let ledger = shooting.both_halves(NetPart::whole(net, bits), &self.bins);
             let shots = self.shots(kind);
             shots.ledger += &ledger;
             shots.nets += 1;
