@@ -4,8 +4,9 @@
 //! command line says itself wins. Paths are relative to the file.
 
 use super::args::{CLEAR, Cli, light_word};
+use clap::builder::Resettable;
 use clap::parser::ValueSource;
-use clap::{ArgAction, ArgMatches, Command, CommandFactory};
+use clap::{ArgAction, ArgMatches, Command, CommandFactory, Id};
 use evenlight::BakeError;
 use evenlight::scene::{BakeMode, Changes, LightChange, NodeChange};
 use std::ffi::OsString;
@@ -83,7 +84,11 @@ impl Config {
 
 /// The command line, but that everything may be left to the file.
 fn lenient() -> Command {
-    let optional = |bake: Command| bake.mut_arg("out", |a| a.required(false)).mut_arg("scene", |a| a.required(false));
+    let unless = Resettable::<Id>::Reset;
+    let optional = |bake: Command| {
+        bake.mut_arg("out", |a| a.required(false))
+            .mut_arg("scene", |a| a.required(false).required_unless_present(unless.clone()))
+    };
     COMMANDS.into_iter().fold(Cli::command(), |all, command| all.mut_subcommand(command, optional))
 }
 

@@ -198,7 +198,8 @@ impl Scene {
     /// Materials that emit and are used.
     pub(crate) fn emissive_materials(&self) -> BTreeSet<usize> {
         let used = self.meshes.iter().flat_map(|m| &m.primitives).map(|p| p.material);
-        used.filter(|&i| self.materials[i].emission.max_element() > 0.0 && !self.materials[i].unlit).collect()
+        let emits = |&i: &usize| self.materials.get(i).is_some_and(|m| m.emission.max_element() > 0.0 && !m.unlit);
+        used.filter(emits).collect()
     }
 
     /// Name of the node of a light.
