@@ -65,8 +65,8 @@ pub fn bake_with_cache<'s>(
     observer: &mut dyn Observer,
 ) -> Result<Bake<'s>, BakeError> {
     in_pool(options, || {
-        let (mut prepared, keeping) = Prepared::new(scene, options, cache, observer)?;
-        let solution = prepared.with_parts(options, |parts| solve_groups(parts, keeping, observer))?;
+        let (mut prepared, mut keeping) = Prepared::new(scene, options, cache, observer)?;
+        let solution = prepared.with_parts(options, |parts| solve_groups(parts, keeping.as_mut(), observer))?;
         prepared.finish(options, solution, observer)
     })
 }
@@ -84,8 +84,8 @@ pub fn plan(
     observer: &mut dyn Observer,
 ) -> Result<Vec<PlanOutlook>, BakeError> {
     in_pool(options, || {
-        let (mut prepared, keeping) = Prepared::new(scene, options, Some(plan), observer)?;
-        prepared.with_parts(options, |parts| plan_groups(parts, shards, keeping, observer))
+        let (mut prepared, mut keeping) = Prepared::new(scene, options, Some(plan), observer)?;
+        prepared.with_parts(options, |parts| plan_groups(parts, shards, keeping.as_mut(), observer))
     })
 }
 
@@ -101,8 +101,28 @@ pub fn bake_shard(
     observer: &mut dyn Observer,
 ) -> Result<Vec<ShardWork>, BakeError> {
     in_pool(options, || {
-        let (mut prepared, keeping) = Prepared::new(scene, options, Some(plan), observer)?;
-        prepared.with_parts(options, |parts| shard_groups(parts, shard, keeping, observer))
+        let (mut prepared, mut keeping) = Prepared::new(scene, options, Some(plan), observer)?;
+        prepared.with_parts(options, |parts| shard_groups(parts, shard, keeping.as_mut(), observer))
+    })
+}
+
+/// Bakes by a plan, all of it here: the same bytes as [`merge`] of any shards.
+///
+/// # Errors
+/// As [`bake_shard`].
+pub fn bake_by_plan<'s>(
+    scene: &'s Scene,
+    options: &BakeOptions,
+    plan: &mut dyn Cache,
+    observer: &mut dyn Observer,
+) -> Result<Bake<'s>, BakeError> {
+    in_pool(options, || {
+        let (mut prepared, mut keeping) = Prepared::new(scene, options, Some(plan), observer)?;
+        let solution = prepared.with_parts(options, |parts| {
+            let work = shard_groups(parts.clone(), Shard::WHOLE, keeping.as_mut(), observer)?;
+            merge_groups(parts, &work, keeping.as_mut(), observer)
+        })?;
+        prepared.finish(options, solution, observer)
     })
 }
 
@@ -118,8 +138,8 @@ pub fn merge<'s>(
     observer: &mut dyn Observer,
 ) -> Result<Bake<'s>, BakeError> {
     in_pool(options, || {
-        let (mut prepared, keeping) = Prepared::new(scene, options, Some(plan), observer)?;
-        let solution = prepared.with_parts(options, |parts| merge_groups(parts, shards, keeping, observer))?;
+        let (mut prepared, mut keeping) = Prepared::new(scene, options, Some(plan), observer)?;
+        let solution = prepared.with_parts(options, |parts| merge_groups(parts, shards, keeping.as_mut(), observer))?;
         prepared.finish(options, solution, observer)
     })
 }
@@ -210,6 +230,7 @@ impl<'s> Prepared<'s> {
         let surface = Surface::new(texels, &atlas, &visibility, options);
         seconds.open = clock.lap();
         go_on(observer)?;
+        observer.stage(Stage::Light);
         let prepared = Prepared {
             scene,
             lighting,

@@ -60,7 +60,7 @@ pub mod options;
 pub mod report;
 pub mod sampling;
 
-pub use bake::{Bake, bake, bake_shard, bake_with_cache, merge, plan};
+pub use bake::{Bake, bake, bake_by_plan, bake_shard, bake_with_cache, merge, plan};
 pub use cache::Cache;
 pub use error::{BakeError, SceneError, Warning};
 pub use observer::{NoObserver, Observer};

@@ -10,7 +10,7 @@ use evenlight::options::Unwrapper;
 use evenlight::output::Staging;
 use evenlight::output::plan_folder::{PlanFolder, PlanInputs};
 use evenlight::output::words::seconds;
-use evenlight::solve::{PlanOutlook, Shard, Shards};
+use evenlight::solve::{PlanOutlook, Shards};
 use evenlight::{BakeError, Observer, Warning};
 use std::path::{Path, PathBuf};
 
@@ -84,8 +84,7 @@ pub fn bake(args: &BakeArgs, given: &ArgMatches) -> Result<u8, BakeError> {
         return Ok(0);
     }
     let staging = Staging::new(&args.out)?;
-    let work = evenlight::bake_shard(&scene, options, Shard::WHOLE, &mut folder, &mut terminal);
-    let bake = work.and_then(|work| evenlight::merge(&scene, options, &work, &mut folder, &mut terminal));
+    let bake = evenlight::bake_by_plan(&scene, options, &mut folder, &mut terminal);
     terminal.finish();
     let bake = bake.map_err(|e| folder.explain(e))?;
     write(staging, &args.out, &scene, bake, &inputs, args.files)

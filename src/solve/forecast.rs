@@ -1,7 +1,8 @@
 //! Time: when the targets will be met, from the work still to do and the speed that each kind of it had so far, and how
 //! much of it a time limit leaves.
 
-use super::{LEAST_NET_BITS, MOST_REDUCTION, Round, Solution, Solver};
+use super::wish::MOST_REDUCTION;
+use super::{LEAST_NET_BITS, Round, Solution, Solver};
 use crate::accuracy::{Fall, GATHER_RAY_COST};
 use crate::error::BakeError;
 use crate::observer::{Progress, Remaining};

@@ -41,8 +41,8 @@ pub struct GroupSolution {
 }
 
 /// What is done on part number 0, 1, ... of the light.
-pub(super) type PartWork<'w> =
-    dyn for<'o> FnMut(usize, Part<'o, 'o>, &'o mut dyn Observer) -> Result<(), BakeError> + 'w;
+pub(super) type PartWork<'w, T> =
+    dyn for<'o> FnMut(usize, Part<'o, 'o>, &'o mut dyn Observer) -> Result<T, BakeError> + 'w;
 
 /// All light, in the parts that are solved by themselves.
 #[derive(Clone)]
@@ -69,9 +69,9 @@ impl Parts<'_> {
     pub(super) fn each(
         &mut self,
         kind: &'static str,
-        mut keeping: Option<Keeping>,
+        mut keeping: Option<&mut Keeping>,
         observer: &mut dyn Observer,
-        work: &mut PartWork,
+        work: &mut PartWork<()>,
     ) -> Result<(), BakeError> {
         let Parts { path, groups, emitters, options, began, .. } = *self;
         if groups.is_empty() {
@@ -99,9 +99,40 @@ impl Parts<'_> {
         Ok(())
     }
 
-    /// `sum` and what is `solved` of part `k`.
-    pub(super) fn add(groups: &[LightGroup], sum: Option<Solution>, k: usize, solved: Solution) -> Solution {
-        let group = groups.get(k).map(|group| GroupSolution {
+    /// The light of all parts, each as `solve` finds it.
+    ///
+    /// # Errors
+    /// As [`each`](Self::each).
+    pub(super) fn sum(
+        mut self,
+        kind: &'static str,
+        keeping: Option<&mut Keeping>,
+        observer: &mut dyn Observer,
+        solve: &mut PartWork<Solution>,
+    ) -> Result<Solution, BakeError> {
+        let (groups, mut sum) = (self.groups, None);
+        self.each(kind, keeping, observer, &mut |k, part, observer| {
+            let solved = solve(k, part, observer)?;
+            let group = groups.get(k).map(|group| GroupSolution::new(group, &solved));
+            let mut whole = match sum.take() {
+                None => solved,
+                Some(others) => Solution::plus(others, solved),
+            };
+            whole.groups.extend(group);
+            sum = Some(whole);
+            Ok(())
+        })?;
+        match sum {
+            Some(sum) if groups.is_empty() => Ok(sum),
+            Some(sum) => sum.whole(self, observer),
+            None => Err(BakeError::Nothing("there is no part of the light to solve".into())),
+        }
+    }
+}
+
+impl GroupSolution {
+    fn new(group: &LightGroup, solved: &Solution) -> GroupSolution {
+        GroupSolution {
             group: group.clone(),
             light: (0..solved.weights.weight.len()).map(|i| solved.total.mean(i)).collect(),
             error: solved.error,
@@ -109,21 +140,6 @@ impl Parts<'_> {
             limit: solved.limit,
             audit: solved.audit,
             history: solved.history.clone(),
-        });
-        let mut whole = match sum {
-            None => solved,
-            Some(sum) => sum.plus(solved),
-        };
-        whole.groups.extend(group);
-        whole
-    }
-
-    /// What is known of the `sum` of all parts: there is one at least.
-    pub(super) fn summed(self, sum: Option<Solution>, observer: &mut dyn Observer) -> Result<Solution, BakeError> {
-        match sum {
-            Some(sum) if self.groups.is_empty() => Ok(sum),
-            Some(sum) => sum.whole(self, observer),
-            None => Err(BakeError::Cancelled),
         }
     }
 }
@@ -133,16 +149,11 @@ impl Parts<'_> {
 /// # Errors
 /// [`BakeError::Cancelled`] when the observer says so.
 pub fn solve_groups(
-    mut parts: Parts,
-    keeping: Option<Keeping>,
+    parts: Parts,
+    keeping: Option<&mut Keeping>,
     observer: &mut dyn Observer,
 ) -> Result<Solution, BakeError> {
-    let (groups, mut sum) = (parts.groups, None);
-    parts.each("light", keeping, observer, &mut |k, part, observer| {
-        sum = Some(Parts::add(groups, sum.take(), k, solve(part, observer)?));
-        Ok(())
-    })?;
-    parts.summed(sum, observer)
+    parts.sum("light", keeping, observer, &mut |_, part, observer| solve(part, observer))
 }
 
 /// `weights` without the sides that are not stored. Where light decides, a look by all lights tells which these are: each

@@ -6,12 +6,15 @@
 //! with all. Photons start where the plan found light: no shard waits for another.
 
 use super::groups::Parts;
-use super::{LEAST_NET_BITS, MOST_REDUCTION, Round, Solution, Solver, growing};
+use super::shots::LARGEST_NET_BITS;
+use super::wish::MOST_REDUCTION;
+use super::{Earlier, LEAST_NET_BITS, LightSeconds, Round, Solution, Solver, growing};
 use crate::cache::Keeping;
 use crate::error::BakeError;
 use crate::light::{Direct, DirectPart};
-use crate::observer::{Observer, Stage};
-use crate::photon::{EnergyLedger, NetPart, PhotonKind, Shooting, Sums};
+use crate::observer::Observer;
+use crate::options::Normals;
+use crate::photon::{EnergyLedger, NetPart, PhotonKind, Sums};
 use serde::{Deserialize, Serialize};
 use std::time::Instant;
 
@@ -29,9 +32,11 @@ const START_SHARE: f64 = 0.3;
 /// Part of the targets that a plan aims at: what is foretold is not quite so, and there is no second round.
 const AIM: f64 = 0.9;
 
-/// Largest part of a net that is shot at once, and largest net.
-const LARGEST_NET_BITS: u32 = 21;
+/// Largest net.
 const MOST_NET_BITS: u32 = 31;
+
+/// Kinds of photons, as plans and shards have them.
+const KINDS: [PhotonKind; 2] = [PhotonKind::Diffuse, PhotonKind::Caustic];
 
 /// Direct samples between two looks at whether to stop.
 const SAMPLES_AT_ONCE: u64 = 1 << 22;
@@ -107,10 +112,16 @@ pub struct PlanOutlook {
 pub struct ShardWork {
     direct: DirectPart,
     sums: Sums,
-    /// Nets and photons of each half, and the ledger, of each kind.
-    shots: [(u64, u64, EnergyLedger); 2],
-    /// Seconds of direct light and photons.
-    seconds: [f64; 2],
+    /// Of each kind of photons.
+    shots: [NetsShot; 2],
+    seconds: LightSeconds,
+}
+
+/// Nets that were shot, and where their flux went.
+#[derive(Debug, Clone, Copy, Default, Serialize, Deserialize)]
+struct NetsShot {
+    count: u64,
+    ledger: EnergyLedger,
 }
 
 /// What all shards did that there are.
@@ -144,7 +155,7 @@ impl Shards for Vec<ShardWork> {
 pub fn plan_groups(
     mut parts: Parts,
     shards: u32,
-    keeping: Option<Keeping>,
+    keeping: Option<&mut Keeping>,
     observer: &mut dyn Observer,
 ) -> Result<Vec<PlanOutlook>, BakeError> {
     let mut found = Vec::new();
@@ -162,7 +173,7 @@ pub fn plan_groups(
 pub fn shard_groups(
     mut parts: Parts,
     shard: Shard,
-    keeping: Option<Keeping>,
+    keeping: Option<&mut Keeping>,
     observer: &mut dyn Observer,
 ) -> Result<Vec<ShardWork>, BakeError> {
     let mut done = Vec::new();
@@ -181,21 +192,18 @@ pub fn shard_groups(
 /// # Errors
 /// As [`shard_groups`], and what `shards` return.
 pub fn merge_groups(
-    mut parts: Parts,
+    parts: Parts,
     shards: &dyn Shards,
-    keeping: Option<Keeping>,
+    keeping: Option<&mut Keeping>,
     observer: &mut dyn Observer,
 ) -> Result<Solution, BakeError> {
-    let (groups, mut sum) = (parts.groups, None);
-    parts.each(PLAN, keeping, observer, &mut |k, part, observer| {
+    let limit = if shards.are_complete() { "plan" } else { "shards" };
+    parts.sum(PLAN, keeping, observer, &mut |k, part, observer| {
         let mut solver = Solver::new(part, observer);
         let planned = solver.planned()?;
-        shards.visit(k, &mut |work| solver.take(work))?;
-        let limit = if shards.are_complete() { "plan" } else { "shards" };
-        sum = Some(Parts::add(groups, sum.take(), k, solver.conclude(&planned, limit)?));
-        Ok(())
-    })?;
-    parts.summed(sum, observer)
+        shards.visit(k, &mut |work| solver.take(&planned, work))?;
+        solver.conclude(&planned, limit)
+    })
 }
 
 impl Solver<'_, '_> {
@@ -252,51 +260,41 @@ impl Solver<'_, '_> {
     /// Does what of a plan is `shard`'s.
     fn work_of(&mut self, planned: &Planned, shard: Shard) -> Result<ShardWork, BakeError> {
         self.foresee(&planned.round, 1.0 / f64::from(shard.count));
-        let started = Instant::now();
         // What the plan has in its bins is added by the merge.
         self.bins.empty_all();
-        let mut shots = [(0, 0, EnergyLedger::default()); 2];
-        for (k, kind) in [PhotonKind::Diffuse, PhotonKind::Caustic].into_iter().enumerate() {
+        let mut shots = [NetsShot::default(); 2];
+        for (k, kind) in KINDS.into_iter().enumerate() {
             shots[k] = self.shoot_nets(kind, planned.nets[k], shard)?;
         }
-        let photons = started.elapsed().as_secs_f64();
         let direct = self.sample_blocks(&planned.round, shard)?;
-        let seconds = [started.elapsed().as_secs_f64() - photons, photons];
+        let seconds = self.seconds.since(&self.earlier.seconds);
         Ok(ShardWork { direct, sums: self.bins.take_sums(), shots, seconds })
     }
 
-    fn shoot_nets(
-        &mut self,
-        kind: PhotonKind,
-        nets: Nets,
-        shard: Shard,
-    ) -> Result<(u64, u64, EnergyLedger), BakeError> {
-        let (mut count, mut ledger) = (0, EnergyLedger::default());
-        let Some(flux) = self.shots(kind).flux.filter(|_| nets.count > 0) else { return Ok((0, 0, ledger)) };
+    fn shoot_nets(&mut self, kind: PhotonKind, nets: Nets, shard: Shard) -> Result<NetsShot, BakeError> {
+        let mut shot = NetsShot::default();
+        let Some(flux) = self.shots(kind).flux.filter(|_| nets.count > 0) else { return Ok(shot) };
         let starts = self.shots(kind).starts.take().unwrap_or_else(|| self.starts(kind));
         let total = starts[0].total().max(starts[1].total());
         if total <= 0.0 || !flux.holds(total) {
-            return Ok((0, 0, ledger));
+            return Ok(shot);
         }
-        let (seed, light, crevice) = (self.options.seed, self.path.light(false), self.path.surface.crevice);
         let first = self.shots(kind).nets;
         for k in (0..nets.count).filter(|&k| shard.takes(k)) {
             let started = Instant::now();
-            let shooting =
-                Shooting { kind, seed, flux, used: true, starts: &starts, direct: &self.direct, light, crevice };
-            let of_net = shooting.both_halves(nets.part(first, k), &self.bins);
-            ledger += &of_net;
-            count += 1;
-            self.shots(kind).ledger += &of_net;
+            let ledger = self.shooting(kind, flux, &starts, true).both_halves(nets.part(first, k), &self.bins);
+            shot.ledger += &ledger;
+            shot.count += 1;
+            self.shots(kind).ledger += &ledger;
             self.seconds.photons += started.elapsed().as_secs_f64();
             self.pause()?;
         }
-        Ok((count, count << nets.bits, ledger))
+        Ok(shot)
     }
 
     fn sample_blocks(&mut self, round: &Round, shard: Shard) -> Result<DirectPart, BakeError> {
         let texels = &self.path.surface.texels;
-        let light = self.path.light(self.options.normals == crate::options::Normals::Smooth);
+        let light = self.path.light(self.options.normals == Normals::Smooth);
         let before = (self.direct.all_samples(), self.direct.rays());
         if round.samples == 0 {
             return Ok(DirectPart::default());
@@ -321,26 +319,24 @@ impl Solver<'_, '_> {
         Ok(self.direct.part((0..self.direct.texels()).filter(sampled).map(|t| t as u32), before))
     }
 
-    /// Adds what a shard did.
-    fn take(&mut self, work: &ShardWork) -> Result<(), BakeError> {
+    /// Adds what a shard of a plan did.
+    fn take(&mut self, planned: &Planned, work: &ShardWork) -> Result<(), BakeError> {
         if !self.bins.add(&work.sums) || !self.direct.put(&work.direct) {
             return Err(BakeError::Plan("a shard is of other texels".into()));
         }
-        for (kind, (nets, photons, ledger)) in [PhotonKind::Diffuse, PhotonKind::Caustic].into_iter().zip(&work.shots) {
+        for ((kind, nets), shot) in KINDS.into_iter().zip(planned.nets).zip(&work.shots) {
             let shots = self.shots(kind);
-            shots.nets += nets;
-            shots.photons += photons;
-            shots.ledger += ledger;
+            shots.nets += shot.count;
+            shots.photons += shot.count << nets.bits;
+            shots.ledger += &shot.ledger;
         }
-        self.seconds.direct += work.seconds[0];
-        self.seconds.photons += work.seconds[1];
+        self.seconds = self.seconds.plus(&work.seconds);
         Ok(())
     }
 
     /// What is known once all shards are in; `limit` where that is not what was to be.
     fn conclude(&mut self, planned: &Planned, limit: &'static str) -> Result<Solution, BakeError> {
-        self.observer.stage(Stage::Light);
-        self.earlier = super::Earlier::default();
+        self.earlier = Earlier::default();
         self.start_anew();
         for &(instance, rays) in &planned.round.gather {
             self.course.gathered[instance] = rays;

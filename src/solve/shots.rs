@@ -7,8 +7,8 @@ use crate::photon::{Bins, EnergyLedger, Flux, NetPart, PhotonKind, Shooting, Sta
 use serde::{Deserialize, Serialize};
 use std::time::Instant;
 
-/// Largest net: rounds between two looks at the clock.
-const LARGEST_NET_BITS: u32 = 21;
+/// Largest net, or part of one, that is shot between two looks at the clock.
+pub(super) const LARGEST_NET_BITS: u32 = 21;
 
 /// Photons of one kind so far.
 #[derive(Debug, Default, Serialize, Deserialize)]
@@ -60,7 +60,6 @@ impl Solver<'_, '_> {
     /// Shoots the photons of one kind that the round has left, in nets; the limit that ended them early.
     pub(super) fn shoot(&mut self, kind: PhotonKind) -> Result<Option<&'static str>, BakeError> {
         let mut started = Instant::now();
-        let crevice = self.path.surface.crevice;
         let starts = self.starts(kind);
         let totals = starts.each_ref().map(StartTable::total);
         let total = totals[0].max(totals[1]);
@@ -71,7 +70,7 @@ impl Solver<'_, '_> {
             self.forget(kind);
         }
         let flux = *self.shots(kind).flux.get_or_insert_with(|| Flux::for_total(total));
-        let (seed, light, most) = (self.options.seed, self.path.light(false), self.options.max_photons);
+        let most = self.options.max_photons;
         let mut limit = None;
         if self.shots(kind).photons == 0 {
             let left = self.left(kind);
@@ -88,11 +87,9 @@ impl Solver<'_, '_> {
                 limit = Some("max-photons");
                 break;
             }
-            let (net, bits) =
-                (self.shots(kind).nets, left.min(allowed).ilog2().clamp(LEAST_NET_BITS, LARGEST_NET_BITS));
-            let shooting =
-                Shooting { kind, seed, flux, used: false, starts: &starts, direct: &self.direct, light, crevice };
-            let ledger = shooting.both_halves(NetPart::whole(net, bits), &self.bins);
+            let bits = left.min(allowed).ilog2().clamp(LEAST_NET_BITS, LARGEST_NET_BITS);
+            let net = NetPart::whole(self.shots(kind).nets, bits);
+            let ledger = self.shooting(kind, flux, &starts, false).both_halves(net, &self.bins);
             let shots = self.shots(kind);
             shots.ledger += &ledger;
             shots.nets += 1;
@@ -108,6 +105,26 @@ impl Solver<'_, '_> {
         }
         self.shots(kind).starts = Some(starts);
         Ok(limit)
+    }
+
+    /// What photons of a kind are shot with; `used` where others started at the same points.
+    pub(super) fn shooting<'s>(
+        &'s self,
+        kind: PhotonKind,
+        flux: Flux,
+        starts: &'s [StartTable; 2],
+        used: bool,
+    ) -> Shooting<'s> {
+        Shooting {
+            kind,
+            seed: self.options.seed,
+            flux,
+            used,
+            starts,
+            direct: &self.direct,
+            light: self.path.light(false),
+            crevice: self.path.surface.crevice,
+        }
     }
 
     /// Where photons start by the direct light so far.
